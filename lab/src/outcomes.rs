@@ -19,8 +19,7 @@ pub const KNOWN: [Metric; 2] = [Metric::Success, Metric::StrictSuccess];
 
 /// The failures of an evaluation, as `./vlaps eval --json` and a training's final.json have
 /// them.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(try_from = "Figures")]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Outcomes {
     driver: String,
     maps: Maps,
@@ -59,6 +58,8 @@ struct Figures {
     driver: String,
     #[serde(flatten)]
     maps: Maps,
+    /// An estimate, or its mean alone in the file of an earlier version.
+    strict_success: serde_json::Value,
     failures: Vec<Failure>,
     /// Present where parts of `--shard` are missing.
     missing: Option<serde::de::IgnoredAny>,
@@ -74,7 +75,18 @@ impl TryFrom<Figures> for Outcomes {
     type Error = anyhow::Error;
 
     fn try_from(figures: Figures) -> anyhow::Result<Outcomes> {
-        ensure!(figures.missing.is_none(), "parts of it are missing");
+        ensure!(
+            figures.missing.is_none(),
+            "parts of it are missing: drive them, then write it with ./vlaps eval --report --json"
+        );
+        let strict = &figures.strict_success;
+        let strict = strict.as_f64().or_else(|| strict["mean"].as_f64());
+        let failed = strict.map(|share| (1.0 - share) * figures.maps.episodes as f64);
+        let named = figures.failures.len();
+        ensure!(
+            failed.is_some_and(|failed| (failed - named as f64).abs() < 0.5),
+            "its strict success and its {named} failures contradict each other"
+        );
         let mut failures = BTreeMap::new();
         for Failure { seed, cause } in figures.failures {
             let is_driven = seed.wrapping_sub(figures.maps.first_seed) < figures.maps.episodes;
@@ -98,7 +110,7 @@ impl Outcomes {
     /// # Errors
     /// If it has other fields, or failures of maps that were not driven.
     pub fn of(figures: &serde_json::Value) -> anyhow::Result<Outcomes> {
-        Ok(serde_json::from_value(figures.clone())?)
+        serde_json::from_value::<Figures>(figures.clone())?.try_into()
     }
 
     /// Those in a file.
@@ -107,7 +119,9 @@ impl Outcomes {
     /// If it cannot be read, and as [`Outcomes::of`].
     pub fn read(file: &Path) -> anyhow::Result<Outcomes> {
         let text = fs::read(file)?;
-        serde_json::from_slice(&text).context("no figures of ./vlaps eval --json or of a training")
+        let figures: Figures = serde_json::from_slice(&text)
+            .context("no figures of ./vlaps eval --json, and no final.json of a training")?;
+        figures.try_into()
     }
 
     /// Refuses other maps than these.
@@ -190,7 +204,10 @@ impl Comparison {
                 metric.name().to_string(),
                 paired.this_alone.to_string(),
                 paired.other_alone.to_string(),
-                format!("{:.4}", paired.p),
+                match paired.p {
+                    ..0.0001 => "<0.0001".into(),
+                    p => format!("{p:.4}"),
+                },
             ]);
         }
         table
@@ -220,9 +237,10 @@ mod tests {
     use super::*;
 
     fn outcomes(driver: &str, failures: serde_json::Value) -> Outcomes {
+        let failed = failures.as_array().expect("failures").len();
         let figures = json!({
-            "driver": driver, "world": "sim", "first_seed": 10, "episodes": 20, "success": 0.5,
-            "failures": failures,
+            "driver": driver, "world": "sim", "first_seed": 10, "episodes": 20,
+            "strict_success": {"mean": 1.0 - failed as f64 / 20.0}, "failures": failures,
         });
         Outcomes::of(&figures).expect("figures")
     }
@@ -268,17 +286,26 @@ mod tests {
             error.contains("seeds 11 to 30") && error.contains("seeds 10 to 29"),
             "{error}"
         );
-        for failures in [
-            json!([{"seed": 9, "cause": "max step"}]),
-            json!([{"seed": 10, "cause": "bad luck"}]),
-            json!([{"seed": 10, "cause": "max step"}, {"seed": 10, "cause": "max step"}]),
+        let figures = |strict: f64, failures: serde_json::Value| {
+            json!({
+                "driver": "mpc", "world": "sim", "first_seed": 10, "episodes": 20,
+                "strict_success": strict, "failures": failures,
+            })
+        };
+        let late = json!({"seed": 10, "cause": "max step"});
+        assert!(Outcomes::of(&figures(0.95, json!([late]))).is_ok());
+        for (strict, failures) in [
+            (0.95, json!([{"seed": 9, "cause": "max step"}])),
+            (0.95, json!([{"seed": 10, "cause": "bad luck"}])),
+            (0.9, json!([late, late])),
+            (0.95, json!([])),
         ] {
-            let figures = json!({"driver": "mpc", "world": "sim", "first_seed": 10, "episodes": 20, "failures": failures});
+            let figures = figures(strict, failures);
             assert!(Outcomes::of(&figures).is_err(), "{figures}");
         }
         let partial = json!({
             "driver": "mpc", "world": "sim", "first_seed": 10, "episodes": 20, "failures": [],
-            "missing": {"pieces": 3, "shards": []},
+            "strict_success": 1.0, "missing": {"pieces": 3, "shards": []},
         });
         let error = Outcomes::of(&partial).expect_err("partial").to_string();
         assert!(error.contains("missing"), "{error}");

@@ -154,5 +154,9 @@ mod tests {
         let values = [-1.264_911, -0.632_456, 0.0, 0.632_456, 1.264_911];
         let half = student_half(&values).expect("five values") * 5f64.sqrt();
         assert!((half - 2.776).abs() < 1e-3, "{half}");
+        // 999 degrees of freedom: 1.962.
+        let many: Vec<f64> = (0..1000).map(|k| f64::from(k % 2)).collect();
+        let half = student_half(&many).expect("values") / (0.25f64 / 999.0).sqrt();
+        assert!((half - 1.962).abs() < 1e-3, "{half}");
     }
 }

@@ -6,7 +6,7 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -91,7 +91,8 @@ pub struct Eval {
           "first_seed", "world", "threads", "config", "vehicle", "overrides"])]
     pub report: bool,
     /// Compare map by map with the figures in this file, by the sign test: those of an
-    /// evaluation of the same seeds (--json), or the final.json of a training.
+    /// evaluation of the same seeds (--json), or the final.json or held-back.json of a
+    /// training. For work in parts, give it to --report.
     #[arg(long, value_name = "FILE", conflicts_with = "shard")]
     pub against: Option<PathBuf>,
     /// Also write the figures to this file.
@@ -198,6 +199,11 @@ impl Eval {
         };
         let read = Outcomes::read(file).and_then(|earlier| {
             earlier.check_maps(&maps)?;
+            let written = self.json.as_ref().and_then(|json| json.canonicalize().ok());
+            ensure!(
+                written.is_none_or(|json| file.canonicalize().ok() != Some(json)),
+                "--json would write over it"
+            );
             Ok(earlier)
         });
         let earlier = read.with_context(|| format!("--against {}", file.display()))?;
@@ -213,7 +219,7 @@ fn compare(
     let this = Outcomes::of(&serde_json::to_value(evaluation)?)?;
     let compared = Comparison::new(&this, &earlier)?;
     say(format_args!(
-        "map by map, against {} of {}:",
+        "map by map, against {} of {}, if its configuration has the same maps for these seeds:",
         compared.driver,
         file.display()
     ));

@@ -210,13 +210,15 @@ pub fn report(arguments: &Eval, out: &Path) -> anyhow::Result<ExitCode> {
     }
     drives.episodes.sort_by_key(|episode| episode.seed);
     let episodes = drives.episodes.len() as u64;
-    let task = Task {
+    let task = |episodes| Task {
         driver,
         world,
         first_seed,
         episodes,
         threads: std::num::NonZeroUsize::MIN,
     };
+    let earlier = arguments.earlier(&task(merged.header.pieces))?;
+    let task = task(episodes);
     let evaluation = Evaluation::new(&task, &drives);
     let last_seed = task.first_seed.wrapping_add(merged.header.pieces - 1);
     say(format_args!(
@@ -230,14 +232,15 @@ pub fn report(arguments: &Eval, out: &Path) -> anyhow::Result<ExitCode> {
     print(&evaluation);
     let Some(missing) = merged.missing() else {
         let figures = &evaluation;
-        let compared = arguments
-            .earlier(&task)?
-            .map(|earlier| compare(earlier, figures));
+        let compared = earlier.map(|earlier| compare(earlier, figures));
         let against = compared.transpose()?;
         write_json_option(&arguments.json, &Compared { figures, against })?;
         return Ok(ExitCode::SUCCESS);
     };
     missing.tell(&merged.header, UNIT);
+    if earlier.is_some() {
+        say("not compared with --against: parts are missing");
+    }
     let figures = &evaluation;
     write_json_option(&arguments.json, &Partial { figures, missing })?;
     Ok(ExitCode::from(1))

@@ -214,9 +214,8 @@ fn policies(results: &Results) -> Option<String> {
 /// The intervals over seeds and maps: those over seeds are of the maps that were driven.
 fn with_maps(results: &Results, seeds: FinalSeeds) -> Option<String> {
     let finals = results.seeds.iter().filter_map(|seed| seed.final_on(seeds));
-    let outcomes: Vec<Outcomes> = finals
-        .filter_map(|last| Outcomes::of(&last.evaluation).ok())
-        .collect();
+    let outcomes = finals.map(|last| Outcomes::of(&last.evaluation));
+    let outcomes: Vec<Outcomes> = outcomes.collect::<anyhow::Result<_>>().ok()?;
     let figures = KNOWN.map(|metric| {
         let (mean, half) = over_seeds_and_maps(&outcomes, metric)?;
         let (low, high) = ((mean - half).max(0.0), (mean + half).min(1.0));
