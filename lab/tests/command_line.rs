@@ -142,34 +142,32 @@ fn two_drivers_are_compared_map_by_map() {
     let text = String::from_utf8_lossy(&other.stdout);
     assert!(text.contains("the other alone"), "{text}");
 
+    let six = ["--episodes", "6"];
+    let cargo = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
     for (file, options, hint) in [
         (
-            lane.as_str(),
-            &["--first-seed", "7"][..],
+            &*lane,
+            &["--episodes", "6", "--first-seed", "7"][..],
             "seeds 1000 to 1005 in sim",
         ),
+        (&lane, &["--episodes", "7"], "seeds 1000 to 1005 in sim"),
         (
-            lane.as_str(),
-            &["--episodes", "7"],
-            "seeds 1000 to 1005 in sim",
+            &lane,
+            &["--episodes", "6", "--json", &lane],
+            "--json would write over it",
         ),
-        ("no/such/a.json", &[], "--against no/such/a.json"),
-        (
-            concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml"),
-            &[],
-            "no figures of ./vlaps eval",
-        ),
+        ("no/such/a.json", &six, "--against no/such/a.json"),
+        (cargo, &six, "no figures of ./vlaps eval"),
     ] {
-        let words = ["eval", "--episodes", "6", "--against", file];
-        let words: Vec<&str> = match options {
-            ["--episodes", ..] => [&words[..1], options, &words[3..]].concat(),
-            _ => [&words[..], options].concat(),
-        };
-        let refused = lab(&words);
+        let refused = lab(&[&["eval", "--against", file][..], options].concat());
         let text = String::from_utf8_lossy(&refused.stderr);
         assert!(
             !refused.status.success() && text.contains(hint),
-            "{words:?}: {text}"
+            "{options:?}: {text}"
+        );
+        assert_eq!(
+            refused.stdout, b"",
+            "{options:?}: before anything is driven"
         );
     }
 }
