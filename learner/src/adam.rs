@@ -9,6 +9,11 @@ const BETA_2: f64 = 0.999;
 /// Epsilon: keeps the division finite.
 const EPSILON: f32 = 1e-8;
 
+/// Smaller moments count as 0. Where a gradient stays 0 its moments fade, and processors are many
+/// times slower with subnormal numbers, which are below 1e-38; a step is the moment times the rate,
+/// which may be 1e-5. So small a moment is lost in [`EPSILON`] and in the parameter.
+const TINY: f32 = 1e-32;
+
 /// What is left of a rate that has fallen: a learner that is run for longer than planned
 /// still learns.
 const LAST_SHARE: f64 = 0.01;
@@ -64,6 +69,13 @@ impl Adam {
 
     /// One step against the gradient.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32]) {
+        for part in self.begin_step(parameters.len().max(1)) {
+            part.step(parameters, gradient);
+        }
+    }
+
+    /// Begins a step, which is taken part by part: this many parameters each, except the last.
+    pub fn begin_step(&mut self, parameters: usize) -> impl ExactSizeIterator<Item = Part<'_>> {
         let rate = self.rate.at(self.steps);
         self.steps += 1;
         let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
@@ -71,15 +83,48 @@ impl Adam {
         let second_share = 1.0 - BETA_2.powi(steps);
         let rate = rate * (1.0 / first_share) as f32;
         let root = (1.0 / second_share.sqrt()) as f32;
+        let firsts = self.first.chunks_mut(parameters);
+        let moments = firsts.zip(self.second.chunks_mut(parameters));
+        moments.map(move |(first, second)| Part {
+            rate,
+            root,
+            first,
+            second,
+        })
+    }
+}
+
+/// The moments of some parameters, and what their next step needs besides.
+#[derive(Debug)]
+pub struct Part<'a> {
+    rate: f32,
+    root: f32,
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+}
+
+impl Part<'_> {
+    /// Steps with these parameters, against their gradient.
+    pub fn step(self, parameters: &mut [f32], gradient: &[f32]) {
         let (beta_1, beta_2) = (BETA_1 as f32, BETA_2 as f32);
-        let moments = self.first.iter_mut().zip(&mut self.second);
+        let moments = self.first.iter_mut().zip(self.second);
         for ((parameter, &slope), (first, second)) in
             parameters.iter_mut().zip(gradient).zip(moments)
         {
-            *first = beta_1 * *first + (1.0 - beta_1) * slope;
-            *second = beta_2 * *second + (1.0 - beta_2) * slope * slope;
-            *parameter -= rate * *first / (second.sqrt() * root + EPSILON);
+            // In variables: the compiler would read `*first` again, since it may be `*second`.
+            let mean = faded(beta_1 * *first + (1.0 - beta_1) * slope);
+            let square = faded(beta_2 * *second + (1.0 - beta_2) * slope * slope);
+            (*first, *second) = (mean, square);
+            *parameter -= self.rate * mean / (square.sqrt() * self.root + EPSILON);
         }
+    }
+}
+
+/// A moment, or 0 if it is tiny.
+fn faded(moment: f32) -> f32 {
+    match moment.abs() < TINY {
+        true => 0.0,
+        false => moment,
     }
 }
 
@@ -111,5 +156,40 @@ mod tests {
             adam.step(&mut place, &[1.0]);
             assert!((place[0] - expected).abs() < 1e-4_f32, "{place:?}");
         }
+    }
+
+    #[test]
+    fn a_step_in_parts_is_the_step_in_one() {
+        let (mut whole, mut parts) = (
+            Adam::new(7, Rate::constant(0.1)),
+            Adam::new(7, Rate::constant(0.1)),
+        );
+        let (mut place, mut place_in_parts) = ([1.0; 7], [1.0; 7]);
+        for round in 0..5 {
+            let gradient: [f32; 7] = std::array::from_fn(|k| (k * round) as f32 - 3.0);
+            whole.step(&mut place, &gradient);
+            let slopes = place_in_parts.chunks_mut(3).zip(gradient.chunks(3));
+            for (part, (place, gradient)) in parts.begin_step(3).zip(slopes) {
+                part.step(place, gradient);
+            }
+            assert_eq!(place, place_in_parts);
+        }
+        assert_eq!(whole, parts);
+    }
+
+    #[test]
+    fn moments_without_a_gradient_fade_to_zero_and_move_nothing_on_the_way() {
+        let mut adam = Adam::new(2, Rate::constant(1e-3));
+        let mut place = [0.5_f32, 1.0];
+        adam.step(&mut place, &[1.0, 1e-3]);
+        for _ in 0..1000 {
+            adam.step(&mut place, &[0.0, 0.0]);
+        }
+        assert_eq!(adam.first, [0.0, 0.0], "they would be subnormal");
+        let rest = place;
+        for _ in 0..80_000 {
+            adam.step(&mut place, &[0.0, 0.0]);
+        }
+        assert_eq!((adam.second, place), (vec![0.0, 0.0], rest));
     }
 }

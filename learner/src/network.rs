@@ -16,6 +16,9 @@ use crate::windows::{Seen, Windows};
 /// for any number.
 pub const ROWS: usize = 128;
 
+/// Parameters whose gradients one thread adds up at a time.
+const CHUNK: usize = 8192;
+
 /// The activation of the last layer; the other layers end with a ReLU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Head {
@@ -322,11 +325,16 @@ impl Network {
             self.backward_rows(rows, wanted, part);
         });
         if let Some(gradient) = gradient {
-            for part in &*parts {
-                for (slope, of_part) in gradient.iter_mut().zip(&part.gradient) {
-                    *slope += of_part;
+            let parts = &*parts;
+            let chunks = gradient.chunks_mut(CHUNK).enumerate();
+            share(threads, chunks, |(chunk, slopes)| {
+                for part in parts {
+                    let of_part = &part.gradient[chunk * CHUNK..];
+                    for (slope, of_part) in slopes.iter_mut().zip(of_part) {
+                        *slope += of_part;
+                    }
                 }
-            }
+            });
         }
         if let Some(input_gradient) = input_gradient {
             input_gradient.clear();
@@ -406,12 +414,11 @@ impl Network {
             std::mem::swap(delta_here, delta_before);
         }
     }
+}
 
-    /// Moves the parameters towards those of another network of the same sizes by this
-    /// share (Polyak averaging).
-    pub fn follow(&mut self, other: &Network, share: f32) {
-        for (own, other) in self.parameters.iter_mut().zip(&other.parameters) {
-            *own += share * (other - *own);
-        }
+/// Moves parameters towards those of another network by this share (Polyak averaging).
+pub fn follow(parameters: &mut [f32], other: &[f32], share: f32) {
+    for (own, other) in parameters.iter_mut().zip(other) {
+        *own += share * (other - *own);
     }
 }

@@ -107,7 +107,7 @@ impl Reflection {
 pub struct Batch {
     /// `batch x inputs`.
     pub states: Vec<f32>,
-    /// `batch x inputs`.
+    /// `batch x inputs`; empty in a batch of [`Replay::sample`].
     pub nexts: Vec<f32>,
     /// `batch x ACTIONS`.
     pub applied: Vec<f32>,
@@ -146,20 +146,9 @@ impl Batch {
         self.is_known.clear();
     }
 
-    /// Appends a transition, as recorded or mirrored, with so many numbers of its states.
+    /// Appends a transition, as recorded or mirrored, with so many numbers of its state.
     fn push(&mut self, transition: &Transition, reflection: Reflection, inputs: usize) {
-        for (states, state) in [
-            (&mut self.states, &transition.state),
-            (&mut self.nexts, &transition.next),
-        ] {
-            let begin = states.len();
-            states.extend_from_slice(&state[..inputs]);
-            let state = &mut states[begin..];
-            if reflection == Reflection::Mirrored {
-                features::mirror(state);
-            }
-            features::prepare(state);
-        }
+        append(&mut self.states, &transition.state[..inputs], reflection);
         for (actions, mut action) in [
             (&mut self.applied, transition.applied),
             (&mut self.policy, transition.policy),
@@ -177,6 +166,17 @@ impl Batch {
         self.goes_on.push(one_if(transition.then == Then::On));
         self.is_known.push(one_if(transition.then != Then::Unknown));
     }
+}
+
+/// Appends plain features to a batch, as recorded or mirrored, as the networks take them.
+fn append(states: &mut Vec<f32>, state: &[f32], reflection: Reflection) {
+    let begin = states.len();
+    states.extend_from_slice(state);
+    let state = &mut states[begin..];
+    if reflection == Reflection::Mirrored {
+        features::mirror(state);
+    }
+    features::prepare(state);
 }
 
 impl Replay {
@@ -254,13 +254,16 @@ impl Replay {
             let held = &self.buffers[buffer as usize];
             for _ in 0..share {
                 let transition = &held[random.random_range(0..held.len())];
-                batch.push(transition, Reflection::draw(random), self.inputs);
+                let reflection = Reflection::draw(random);
+                batch.push(transition, reflection, self.inputs);
+                let next = &transition.next[..self.inputs];
+                append(&mut batch.nexts, next, reflection);
             }
         }
     }
 
     /// Draws this many transitions from these buffers as if they were one, with
-    /// replacement; none when all of them are empty.
+    /// replacement and without what followed them; none when all of them are empty.
     pub fn sample(
         &self,
         buffers: &[Buffer],

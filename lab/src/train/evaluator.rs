@@ -29,6 +29,9 @@ use supervisor::subcommand::write_json;
 /// Polling interval for new policies.
 const LOOK: Duration = Duration::from_millis(100);
 
+/// Lowest priority that the system has.
+const NICE: i32 = 19;
+
 /// Number of progress lines of a last policy's evaluation.
 const PARTS: u64 = 20;
 
@@ -58,6 +61,7 @@ impl Evaluator {
         let thread = {
             let (order, stop, protocol) = (Arc::clone(&order), stop.clone(), protocol.clone());
             std::thread::spawn(move || {
+                give_way();
                 watch(&protocol, clock, (&order, &stop), |block_evaluation| {
                     // The receiver may have been dropped.
                     let _ = send.send(block_evaluation);
@@ -119,6 +123,13 @@ impl Evaluator {
             Some(Err(_)) => Err(anyhow!("the evaluation thread panicked")),
         }
     }
+}
+
+/// Lowers the priority of this thread, and of those that it starts: the training takes turns
+/// between driving and learning, and nothing of it waits for an evaluation.
+fn give_way() {
+    // It may be low already.
+    let _ = rustix::process::setpriority_process(None, NICE);
 }
 
 fn watch(

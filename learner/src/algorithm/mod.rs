@@ -17,13 +17,18 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 use shm_config::message::INPUTS_WITH_MOTION;
 
-use crate::network::{Head, Network};
+use crate::adam::Part;
+use crate::network::{Head, Network, follow};
 use crate::replay::{ACTIONS, Buffer, Replay};
+use crate::share::share;
 use crate::{Adam, Rate, features};
 
 pub use ppl::Ppl;
 pub use pvp::Pvp;
 pub use regression::{Regression, Source};
+
+/// Parameters that one thread steps with at a time: they and their moments fit into its cache.
+const PART: usize = 8192;
 
 /// The sizes that all algorithms have.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -91,11 +96,27 @@ impl Learned {
     }
 
     /// Takes one step of the optimiser along the gathered gradient, and clears the
-    /// gradient.
-    fn step(&mut self) {
-        self.adam
-            .step(self.network.parameters_mut(), &self.gradient);
-        self.gradient.fill(0.0);
+    /// gradient. A follower, a network of the same sizes, then moves towards this one by a
+    /// share ([`Network::follow`]).
+    fn step(&mut self, threads: usize, follower: Option<(&mut Network, f32)>) {
+        let parameters = self.network.parameters_mut().chunks_mut(PART);
+        let parts = self.adam.begin_step(PART).zip(parameters);
+        let parts = parts.zip(self.gradient.chunks_mut(PART));
+        let step = |((adam, parameters), gradient): ((Part, &mut [f32]), &mut [f32])| {
+            adam.step(parameters, gradient);
+            gradient.fill(0.0);
+        };
+        match follower {
+            None => share(threads, parts, step),
+            Some((follower, part)) => {
+                let followers = follower.parameters_mut().chunks_mut(PART);
+                share(threads, parts.zip(followers), |(own, follower)| {
+                    let ((adam, parameters), gradient) = own;
+                    step(((adam, &mut *parameters), gradient));
+                    follow(follower, parameters, part);
+                });
+            }
+        }
     }
 }
 

@@ -257,15 +257,15 @@ impl Pvp {
         }
         self.targets(random, threads);
         let critic = self.critic_loss(threads);
-        self.critics.iter_mut().for_each(Learned::step);
         self.updates += 1;
-        if self.updates.is_multiple_of(POLICY_DELAY) {
+        let is_actors = self.updates.is_multiple_of(POLICY_DELAY);
+        for (critic, target) in self.critics.iter_mut().zip(&mut self.critic_targets) {
+            critic.step(threads, is_actors.then_some((target, TAU)));
+        }
+        if is_actors {
             self.last_actor = self.actor_loss(threads);
-            self.actor.step();
-            self.actor_target.follow(&self.actor.network, TAU);
-            for (target, critic) in self.critic_targets.iter_mut().zip(&self.critics) {
-                target.follow(&critic.network, TAU);
-            }
+            self.actor
+                .step(threads, Some((&mut self.actor_target, TAU)));
         }
         Losses {
             critic,

@@ -118,8 +118,8 @@ impl Imitator {
         let pass = (&batch.states[..], &delta[..]);
         let gradient = Some(&mut self.actor.gradient[..]);
         network.backward(pass, threads, tape, gradient, None);
-        self.actor.step();
-        self.average.follow(&self.actor.network, 1.0 / AVERAGED);
+        let average = (&mut self.average, 1.0 / AVERAGED);
+        self.actor.step(threads, Some(average));
         Losses {
             actor: imitation + other,
             imitation,

@@ -9,7 +9,7 @@ pub(crate) const FAR_M: f64 = 2.5;
 const BEGIN_M: f64 = -4.0;
 /// Sizes of a cell, m along and m across.
 const ALONG_M: f64 = 0.5;
-const ACROSS_M: f64 = 0.25;
+pub(crate) const ACROSS_M: f64 = 0.25;
 const ROWS: usize = 88;
 const COLUMNS: usize = 80;
 /// The field reaches this far to either side, m.
@@ -130,11 +130,30 @@ impl Field {
         let column = |left_m: f64| (left_m + SIDE_M) / ACROSS_M;
         let first = column(place.left_m - FAR_M).max(0.0) as usize;
         let end = ((column(place.left_m + FAR_M).max(0.0)) as usize + 1).min(COLUMNS);
-        for column in first..end {
+        let cells = &mut self.clearance_m[row * COLUMNS..][..COLUMNS];
+        for (column, cell) in cells.iter_mut().enumerate().take(end).skip(first) {
             let left_m = (column as f64 + 0.5) * ACROSS_M - SIDE_M - place.left_m;
-            let away_m = along_m.hypot(left_m) as f32;
-            let cell = &mut self.clearance_m[row * COLUMNS + column];
-            *cell = cell.min(away_m);
+            // The processor takes roots of several cells at a time, and `hypot` of one.
+            let away_m = (along_m * along_m + left_m * left_m).sqrt() as f32;
+            *cell = if away_m < *cell { away_m } else { *cell };
+        }
+    }
+
+    /// Lowers each number to the clearance, m, of places beside each other: the first one, and
+    /// each by [`ACROSS_M`] to the left of the one before.
+    pub(crate) fn lower_to_clearance(&self, first: Place, clearance_m: &mut [f32]) {
+        let row = (first.along_m - BEGIN_M) / ALONG_M;
+        if row < 0.0 || row >= ROWS as f64 {
+            return;
+        }
+        let row = &self.clearance_m[row as usize * COLUMNS..][..COLUMNS];
+        // Negative where the first places lie to the right of the field.
+        let column = ((first.left_m + SIDE_M) / ACROSS_M).floor() as isize;
+        let (beside, from) = ((-column).max(0) as usize, column.max(0) as usize);
+        let cells = row.get(from..).unwrap_or_default();
+        let places = clearance_m.get_mut(beside..).unwrap_or_default();
+        for (least, &cell) in places.iter_mut().zip(cells) {
+            *least = if cell < *least { cell } else { *least };
         }
     }
 
@@ -151,5 +170,39 @@ impl Field {
             return FAR_M;
         }
         f64::from(self.clearance_m[row * COLUMNS + column])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Places beside each other are read as each of them alone, on the field and beside it.
+    #[test]
+    fn a_row_of_places_has_the_clearance_of_each() {
+        let mut field = Field::new();
+        for (along_m, left_m) in [(3.1, -2.7), (12.0, 4.4), (39.9, 9.9), (-3.9, -9.9)] {
+            field.mark(Place { along_m, left_m });
+        }
+        let (mut near, mut far) = (0, 0);
+        for along in -14..=100 {
+            for left in -130..=130 {
+                let (along_m, first_m) = (f64::from(along) * 0.43, f64::from(left) * 0.117);
+                let mut row_m = [FAR_M as f32; 65];
+                let first = Place {
+                    along_m,
+                    left_m: first_m,
+                };
+                field.lower_to_clearance(first, &mut row_m);
+                for (place, &clearance_m) in row_m.iter().enumerate() {
+                    let left_m = first_m + place as f64 * ACROSS_M;
+                    let alone_m = field.clearance_m(Place { along_m, left_m });
+                    assert_eq!(f64::from(clearance_m), alone_m, "{along_m} {left_m}");
+                    near += u32::from(alone_m < FAR_M);
+                    far += u32::from(alone_m == FAR_M);
+                }
+            }
+        }
+        assert!(near > 10_000 && far > 10_000, "{near} {far}");
     }
 }

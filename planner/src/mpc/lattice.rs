@@ -1,5 +1,7 @@
+use std::array;
+
 use crate::mpc::body::Body;
-use crate::mpc::field::Field;
+use crate::mpc::field::{ACROSS_M, FAR_M, Field};
 use crate::mpc::line::{Line, Place};
 use shm_config::config::Mpc as Config;
 
@@ -7,9 +9,7 @@ use shm_config::config::Mpc as Config;
 const STATION_M: f64 = 2.0;
 /// Stations after the first: the path is 36 m long.
 pub(crate) const STATIONS: usize = 18;
-/// Distance between two lanes of the lattice, m across.
-const ACROSS_M: f64 = 0.25;
-/// Lanes on either side of the middle line.
+/// Lanes on either side of the middle line, each as wide as a cell of the field.
 const SIDE: i32 = 32;
 const LANES: usize = 2 * SIDE as usize + 1;
 /// Steepest slope to either side: lanes per station, so 0.625 m per m.
@@ -102,14 +102,19 @@ impl Path {
     }
 }
 
+/// A number for each lane, from the right to the left. All that happens at a station happens to
+/// whole rows of lanes, so that the processor works on several lanes at a time.
+type Lanes<T> = [T; LANES];
+
 /// Finds the cheapest path over a lattice of places and slopes by dynamic
 /// programming: which side each obstacle is passed on.
 #[derive(Debug)]
 pub(crate) struct Lattice {
-    cost: Box<[[f32; SLOPES]; LANES]>,
-    next: Box<[[f32; SLOPES]; LANES]>,
-    /// The slope before, for each station, lane and slope.
-    from: Box<[[[i8; SLOPES]; LANES]; STATIONS]>,
+    /// For each slope and lane.
+    cost: Box<[Lanes<f32>; SLOPES]>,
+    next: Box<[Lanes<f32>; SLOPES]>,
+    /// The slope before, for each station, slope and lane.
+    from: Box<[[Lanes<i8>; SLOPES]; STATIONS]>,
 }
 
 /// What a path is searched in.
@@ -126,9 +131,9 @@ impl Lattice {
     /// The only place that allocates.
     pub(crate) fn new() -> Self {
         Self {
-            cost: Box::new([[f32::INFINITY; SLOPES]; LANES]),
-            next: Box::new([[f32::INFINITY; SLOPES]; LANES]),
-            from: Box::new([[[0; SLOPES]; LANES]; STATIONS]),
+            cost: Box::new([[f32::INFINITY; LANES]; SLOPES]),
+            next: Box::new([[f32::INFINITY; LANES]; SLOPES]),
+            from: Box::new([[[0; LANES]; SLOPES]; STATIONS]),
         }
     }
 
@@ -138,56 +143,65 @@ impl Lattice {
         let begin_lane = (left_m / ACROSS_M).round().clamp(-SIDE as f64, SIDE as f64);
         // The lattice is shifted so that the car stands on a lane of it.
         let shift_m = left_m - begin_lane * ACROSS_M;
+        let lanes_m: Lanes<f64> =
+            array::from_fn(|lane| f64::from(lane as i32 - SIDE) * ACROSS_M + shift_m);
         let steepness = slope * STATION_M / ACROSS_M;
         let begin_slope = steepness.round().clamp(-STEEP as f64, STEEP as f64) as i32;
         let begin = Place {
             along_m: 0.0,
             left_m,
         };
+        let mut nearest_m = [FAR_M as f32];
+        ground.lower_to_nearest(begin, slope, &mut nearest_m);
         let slack = Slack {
-            clear_m: ground.clear_m(begin, slope) - 0.02,
+            clear_m: ground.clear_m(nearest_m[0]) - 0.02,
             edge_m: ground.edge_m(begin, slope) - 0.02,
         };
         for row in self.cost.iter_mut() {
             row.fill(f32::INFINITY);
         }
-        self.cost[(begin_lane as i32 + SIDE) as usize][(begin_slope + STEEP) as usize] = 0.0;
+        self.cost[(begin_slope + STEEP) as usize][(begin_lane as i32 + SIDE) as usize] = 0.0;
         let mut reached = 0;
         for station in 1..=STATIONS {
-            if !self.advance(ground, station, shift_m, &slack) {
+            if !self.advance(ground, station, &lanes_m, &slack) {
                 break;
             }
             reached = station;
         }
-        self.trace(reached, shift_m, left_m)
+        self.trace(reached, &lanes_m, left_m)
     }
 
     /// Extends the search by one station; returns whether any state of it is reachable.
-    fn advance(&mut self, ground: &Ground, station: usize, shift_m: f64, slack: &Slack) -> bool {
+    fn advance(
+        &mut self,
+        ground: &Ground,
+        station: usize,
+        lanes_m: &Lanes<f64>,
+        slack: &Slack,
+    ) -> bool {
         let along_m = station as f64 * STATION_M;
-        let last = ground.last.map(|path| path.at(along_m).0);
-        for row in self.next.iter_mut() {
-            row.fill(f32::INFINITY);
-        }
+        let last_m = ground.last.map(|path| path.at(along_m).0);
         let mut any = false;
-        for lane in -SIDE..=SIDE {
-            let left_m = f64::from(lane) * ACROSS_M + shift_m;
-            for steep in -STEEP..=STEEP {
-                let before = lane - steep;
-                if !(-SIDE..=SIDE).contains(&before) {
-                    continue;
-                }
-                let (least, slope) = self.cheapest(before, steep);
-                if least == f32::INFINITY {
-                    continue;
-                }
-                let place = Place { along_m, left_m };
-                let here = ground.cost(place, steep, last, slack.at(station));
-                let slot = (lane + SIDE) as usize;
-                self.next[slot][(steep + STEEP) as usize] = least + here;
-                self.from[station - 1][slot][(steep + STEEP) as usize] = slope as i8;
-                any |= here < f32::INFINITY;
+        for steep in -STEEP..=STEEP {
+            let slot = (steep + STEEP) as usize;
+            let (least, slopes) = self.cheapest(steep);
+            let (next, from) = (&mut self.next[slot], &mut self.from[station - 1][slot]);
+            next.fill(f32::INFINITY);
+            if least.iter().all(|&cost| cost == f32::INFINITY) {
+                continue;
             }
+            let here = ground.costs((along_m, lanes_m), steep, last_m, slack.at(station));
+            // With this slope, lane `k` leads to lane `k + steep`.
+            let (begin, end) = (steep.max(0) as usize, LANES - (-steep).max(0) as usize);
+            let (left, right) = ((-steep).max(0) as usize, LANES - begin);
+            for (next, (least, here)) in next[begin..end]
+                .iter_mut()
+                .zip(least[left..right].iter().zip(&here[begin..end]))
+            {
+                *next = least + here;
+            }
+            from[begin..end].copy_from_slice(&slopes[left..right]);
+            any |= next.iter().any(|&cost| cost < f32::INFINITY);
         }
         if any {
             std::mem::swap(&mut self.cost, &mut self.next);
@@ -195,36 +209,39 @@ impl Lattice {
         any
     }
 
-    /// The cheapest way to be in a lane and to go on from it with a slope.
-    fn cheapest(&self, lane: i32, steep: i32) -> (f32, i32) {
-        let row = &self.cost[(lane + SIDE) as usize];
+    /// The cheapest way to be in each lane and to go on from it with a slope, and the slope of
+    /// that way.
+    fn cheapest(&self, steep: i32) -> (Lanes<f32>, Lanes<i8>) {
         let (low, high) = ((steep - CHANGE).max(-STEEP), (steep + CHANGE).min(STEEP));
-        let mut best = (f32::INFINITY, 0);
+        let (mut least, mut slopes) = ([f32::INFINITY; LANES], [0_i32; LANES]);
         for before in low..=high {
             let change = (steep - before) as f32;
-            let cost = row[(before + STEEP) as usize] + BEND * change * change;
-            if cost < best.0 {
-                best = (cost, before);
+            let bend = BEND * change * change;
+            let row = &self.cost[(before + STEEP) as usize];
+            for (cost, (least, slope)) in row.iter().zip(least.iter_mut().zip(&mut slopes)) {
+                let cost = cost + bend;
+                let is_less = cost < *least;
+                *least = if is_less { cost } else { *least };
+                *slope = if is_less { before } else { *slope };
             }
         }
-        best
+        (least, slopes.map(|slope| slope as i8))
     }
 
-    fn trace(&self, reached: usize, shift_m: f64, begin_left_m: f64) -> Path {
+    fn trace(&self, reached: usize, lanes_m: &Lanes<f64>, begin_left_m: f64) -> Path {
         let mut best = (f32::INFINITY, 0, 0);
-        for (lane, row) in self.cost.iter().enumerate() {
-            for (slope, &cost) in row.iter().enumerate() {
-                if cost < best.0 {
-                    best = (cost, lane as i32 - SIDE, slope as i32 - STEEP);
+        for lane in 0..LANES {
+            for (slope, row) in self.cost.iter().enumerate() {
+                if row[lane] < best.0 {
+                    best = (row[lane], lane as i32, slope as i32 - STEEP);
                 }
             }
         }
         let (_, mut lane, mut steep) = best;
         let mut left_m = [begin_left_m; STATIONS + 1];
         for station in (1..=reached).rev() {
-            left_m[station] = f64::from(lane) * ACROSS_M + shift_m;
-            let slot = (lane + SIDE) as usize;
-            let before = self.from[station - 1][slot][(steep + STEEP) as usize];
+            left_m[station] = lanes_m[lane as usize];
+            let before = self.from[station - 1][(steep + STEEP) as usize][lane as usize];
             lane -= steep;
             steep = i32::from(before);
         }
@@ -251,20 +268,23 @@ impl Slack {
 }
 
 impl Ground<'_> {
-    /// Least clearance of the car's discs at a place, m; negative inside.
-    fn clear_m(&self, place: Place, slope: f64) -> f64 {
+    /// Lowers each number to the distance between the nearest obstacle and the middles of the
+    /// car's discs, m, for places beside each other: the first one, and each by [`ACROSS_M`] to
+    /// the left of the one before.
+    fn lower_to_nearest(&self, first: Place, slope: f64, nearest_m: &mut [f32]) {
         let ahead = 1.0 / slope.hypot(1.0);
-        let Body { offsets_m, .. } = self.body;
-        let nearest_m = offsets_m
-            .iter()
-            .map(|&offset_m| {
-                self.field.clearance_m(Place {
-                    along_m: place.along_m + offset_m * ahead,
-                    left_m: place.left_m + offset_m * ahead * slope,
-                })
-            })
-            .fold(f64::INFINITY, f64::min);
-        nearest_m - self.body.radius_m
+        for offset_m in self.body.offsets_m {
+            let first = Place {
+                along_m: first.along_m + offset_m * ahead,
+                left_m: first.left_m + offset_m * ahead * slope,
+            };
+            self.field.lower_to_clearance(first, nearest_m);
+        }
+    }
+
+    /// Clearance of the car's discs, m; negative inside an obstacle.
+    fn clear_m(&self, nearest_m: f32) -> f64 {
+        f64::from(nearest_m) - self.body.radius_m
     }
 
     /// Distance from the car's corners to the nearer edge of the road, m.
@@ -273,37 +293,48 @@ impl Ground<'_> {
         self.line.half_width_m(place.along_m) - place.left_m.abs() - reach_m
     }
 
-    /// The cost of a place; infinite when it is not free.
-    fn cost(
+    /// The cost of a place in each lane; infinite where it is not free.
+    fn costs(
         &self,
-        place: Place,
+        (along_m, lanes_m): (f64, &Lanes<f64>),
         steep: i32,
-        last: Option<f64>,
+        last_m: Option<f64>,
         (clear_slack_m, edge_slack_m): (f64, f64),
-    ) -> f32 {
+    ) -> Lanes<f32> {
         let slope = f64::from(steep) * ACROSS_M / STATION_M;
-        let edge_m = self.edge_m(place, slope) + BEYOND_M;
-        if edge_m < edge_slack_m.min(0.0) {
-            return f32::INFINITY;
-        }
-        let halfway = Place {
-            along_m: place.along_m - STATION_M / 2.0,
-            left_m: place.left_m - slope * STATION_M / 2.0,
+        let mut nearest_m = [FAR_M as f32; LANES];
+        let first = Place {
+            along_m,
+            left_m: lanes_m[0],
         };
-        let clear_m = self.clear_m(place, slope).min(self.clear_m(halfway, slope));
-        if clear_m < clear_slack_m.min(self.config.contact_m) {
-            return f32::INFINITY;
-        }
+        self.lower_to_nearest(first, slope, &mut nearest_m);
+        let halfway = Place {
+            along_m: along_m - STATION_M / 2.0,
+            left_m: first.left_m - slope * STATION_M / 2.0,
+        };
+        self.lower_to_nearest(halfway, slope, &mut nearest_m);
+        let edge_least_m = edge_slack_m.min(0.0);
+        let clear_least_m = clear_slack_m.min(self.config.contact_m);
         let tight = |room_m: f64, wanted_m: f64| {
             let missing = (1.0 - room_m / wanted_m).max(0.0) as f32;
             TIGHT * missing * missing
         };
-        let (left_m, slope) = (place.left_m as f32, slope as f32);
-        let mut cost = MIDDLE * left_m * left_m + SLOPE * slope * slope;
-        if let Some(last_m) = last {
-            let off_m = (left_m - last_m as f32).clamp(-2.0, 2.0);
-            cost += LAST * off_m * off_m;
-        }
-        cost + tight(clear_m, self.config.clearance_m.max(1e-3)) + tight(edge_m, EDGE_M)
+        let wanted_m = self.config.clearance_m.max(1e-3);
+        array::from_fn(|lane| {
+            let left_m = lanes_m[lane];
+            let edge_m = self.edge_m(Place { along_m, left_m }, slope) + BEYOND_M;
+            let clear_m = self.clear_m(nearest_m[lane]);
+            let (left_m, slope) = (left_m as f32, slope as f32);
+            let mut cost = MIDDLE * left_m * left_m + SLOPE * slope * slope;
+            if let Some(last_m) = last_m {
+                let off_m = (left_m - last_m as f32).clamp(-2.0, 2.0);
+                cost += LAST * off_m * off_m;
+            }
+            cost = cost + tight(clear_m, wanted_m) + tight(edge_m, EDGE_M);
+            match edge_m < edge_least_m || clear_m < clear_least_m {
+                true => f32::INFINITY,
+                false => cost,
+            }
+        })
     }
 }

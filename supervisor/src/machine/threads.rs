@@ -177,8 +177,10 @@ mod tests {
     #[test]
     fn this_test_is_a_thread_beside_the_first() {
         let pid = std::process::id();
-        let all = threads(pid, &Health::default());
-        assert!(all.len() >= 2 && all[0].is_tick, "{all:?}");
+        // While a thread ends, as those of other tests do, the kernel's list may miss another one.
+        let mut lists = (0..100).map(|_| threads(pid, &Health::default()));
+        let all = lists.find(|all| all.len() >= 2 && all[0].is_tick);
+        let all = all.expect("the first thread and this one");
         assert!(
             all[1..]
                 .iter()
