@@ -7,6 +7,7 @@ use sim::observe::TICK_S;
 
 use crate::episodes::{Cause, Drives, Task};
 use crate::metric::Metric;
+use crate::outcomes::WorldSettings;
 use crate::report::{fitted, table};
 use crate::statistics::Estimate;
 
@@ -21,6 +22,8 @@ pub struct Evaluation {
     pub episodes: usize,
     /// Seed of the first episode.
     pub first_seed: u64,
+    /// What decides the maps of the seeds.
+    pub world_settings: WorldSettings,
     /// Share of episodes that arrived, with or without contacts: the paper's metric.
     pub success: Estimate,
     /// Share of episodes that arrived without any contact.
@@ -67,8 +70,8 @@ pub struct Failure {
 }
 
 impl Evaluation {
-    /// Computes the figures of episodes.
-    pub fn new(task: &Task, drives: &Drives) -> Evaluation {
+    /// Computes the figures of episodes in a world with these settings.
+    pub fn new(task: &Task, world_settings: WorldSettings, drives: &Drives) -> Evaluation {
         let episodes = &drives.episodes;
         let share = |hit: fn(&Episode) -> bool| {
             let hits = episodes.iter().filter(|episode| hit(episode)).count();
@@ -86,6 +89,7 @@ impl Evaluation {
             world: task.world.word(),
             episodes: episodes.len(),
             first_seed: task.first_seed,
+            world_settings,
             success: share(|episode| episode.outcome() == Outcome::Arrived),
             strict_success: share(Episode::is_strict_success),
             contact: share(|episode| episode.contacts() > 0),

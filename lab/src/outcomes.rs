@@ -2,12 +2,13 @@
 //! intervals that hold for other maps, too.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::Path;
-use std::{fmt, fs};
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use comfy_table::Table;
 use serde::{Deserialize, Serialize};
+use shm_config::config::World;
 
 use crate::episodes::Cause;
 use crate::metric::Metric;
@@ -16,6 +17,9 @@ use crate::statistics::{over_both, sign_test};
 
 /// The metrics that the failures of an evaluation tell for each map.
 pub const KNOWN: [Metric; 2] = [Metric::Success, Metric::StrictSuccess];
+
+/// Largest file of figures, bytes: more than a million failed episodes take.
+const BYTES_MAX: u64 = 1 << 28;
 
 /// The failures of an evaluation, as `./vlaps eval --json` and a training's final.json have
 /// them.
@@ -26,8 +30,41 @@ pub struct Outcomes {
     failures: BTreeMap<u64, Cause>,
 }
 
+/// The settings of `[world]` that decide the maps of the seeds, and how long an episode may last.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct WorldSettings(BTreeMap<String, serde_json::Value>);
+
+impl WorldSettings {
+    /// Those of a configuration.
+    ///
+    /// # Errors
+    /// If a number of it has no text in JSON.
+    pub fn of(world: &World) -> anyhow::Result<WorldSettings> {
+        let mut settings: BTreeMap<String, serde_json::Value> =
+            serde_json::from_value(serde_json::to_value(world)?)?;
+        // The world has a field of its own, and maps have no rate.
+        settings.retain(|key, _| !["simulator", "rate_hz"].contains(&key.as_str()));
+        Ok(WorldSettings(settings))
+    }
+
+    /// The first setting that differs, in words: `world.blocks 7, not 3`.
+    fn difference(&self, other: &WorldSettings) -> Option<String> {
+        let keys = self.0.keys().chain(other.0.keys());
+        keys.filter(|key| self.0.get(*key) != other.0.get(*key))
+            .map(|key| {
+                let word = |of: &WorldSettings| match of.0.get(key) {
+                    Some(value) => value.to_string(),
+                    None => "absent".into(),
+                };
+                format!("world.{key} {}, not {}", word(self), word(other))
+            })
+            .next()
+    }
+}
+
 /// The maps of an evaluation, as far as its file tells.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Maps {
     /// The world, as in `--world`.
     pub world: String,
@@ -35,9 +72,22 @@ pub struct Maps {
     pub first_seed: u64,
     /// Number of episodes.
     pub episodes: u64,
+    /// `None` in a file that was written before they were.
+    #[serde(rename = "world_settings")]
+    pub settings: Option<WorldSettings>,
 }
 
 impl Maps {
+    /// How these maps differ from others, in words; `None` where nothing shows that they do.
+    fn difference(&self, other: &Maps) -> Option<String> {
+        let are_seeds = (&self.world, self.first_seed, self.episodes)
+            == (&other.world, other.first_seed, other.episodes);
+        if !are_seeds {
+            return Some(format!("{self}, not {other}"));
+        }
+        self.settings.as_ref()?.difference(other.settings.as_ref()?)
+    }
+
     fn seeds(&self) -> impl Iterator<Item = u64> {
         (0..self.episodes).map(|index| self.first_seed.wrapping_add(index))
     }
@@ -118,7 +168,7 @@ impl Outcomes {
     /// # Errors
     /// If it cannot be read, and as [`Outcomes::of`].
     pub fn read(file: &Path) -> anyhow::Result<Outcomes> {
-        let text = fs::read(file)?;
+        let text = shm_config::file::read(file, BYTES_MAX)?;
         let figures: Figures = serde_json::from_slice(&text)
             .context("no figures of ./vlaps eval --json, and no final.json of a training")?;
         figures.try_into()
@@ -127,14 +177,17 @@ impl Outcomes {
     /// Refuses other maps than these.
     ///
     /// # Errors
-    /// If the seeds or the worlds differ.
+    /// If the seeds, the worlds or their settings differ.
     pub fn check_maps(&self, driven: &Maps) -> anyhow::Result<()> {
-        ensure!(
-            self.maps == *driven,
-            "it has {}, this evaluation {driven}",
-            self.maps
-        );
-        Ok(())
+        match self.maps.difference(driven) {
+            Some(difference) => bail!("it was driven with {difference}"),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether the file tells the settings of its world.
+    pub fn tells_settings(&self) -> bool {
+        self.maps.settings.is_some()
     }
 
     /// Whether the episode of a seed succeeded by one of the [`KNOWN`] metrics.
@@ -219,7 +272,8 @@ impl Comparison {
 /// trainings.
 pub fn over_seeds_and_maps(trainings: &[Outcomes], metric: Metric) -> Option<(f64, f64)> {
     let maps = &trainings.first()?.maps;
-    if trainings.iter().any(|training| training.maps != *maps) {
+    let mut others = trainings.iter();
+    if others.any(|training| training.maps.difference(maps).is_some()) {
         return None;
     }
     let row = |training: &Outcomes| {
@@ -286,6 +340,24 @@ mod tests {
             error.contains("seeds 11 to 30") && error.contains("seeds 10 to 29"),
             "{error}"
         );
+        let with = |blocks: u32| {
+            let world = World {
+                blocks,
+                rate_hz: f64::from(blocks),
+                ..World::default()
+            };
+            let mut outcomes = this.clone();
+            outcomes.maps.settings = Some(WorldSettings::of(&world).expect("settings"));
+            outcomes
+        };
+        let error = Comparison::new(&with(3), &with(7)).expect_err("other maps");
+        assert_eq!(
+            error.to_string(),
+            "it was driven with world.blocks 7, not 3"
+        );
+        assert!(Comparison::new(&with(3), &with(3)).is_ok());
+        // Older files do not tell.
+        assert!(Comparison::new(&this, &with(3)).is_ok() && !this.tells_settings());
         let figures = |strict: f64, failures: serde_json::Value| {
             json!({
                 "driver": "mpc", "world": "sim", "first_seed": 10, "episodes": 20,

@@ -156,7 +156,13 @@ fn two_drivers_are_compared_map_by_map() {
             &["--episodes", "6", "--json", &lane],
             "--json would write over it",
         ),
+        (
+            &lane,
+            &["--episodes", "6", "--set", "world.blocks=4"],
+            "world.blocks 3, not 4",
+        ),
         ("no/such/a.json", &six, "--against no/such/a.json"),
+        ("/dev/null", &six, "--against /dev/null"),
         (cargo, &six, "no figures of ./vlaps eval"),
     ] {
         let refused = lab(&[&["eval", "--against", file][..], options].concat());

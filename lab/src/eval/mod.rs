@@ -23,7 +23,7 @@ use view::draw::failures;
 use crate::episodes::{Task, evaluate};
 use crate::evaluation::Evaluation;
 use crate::metric::FOOTNOTE;
-use crate::outcomes::{Comparison, Maps, Outcomes};
+use crate::outcomes::{Comparison, Maps, Outcomes, WorldSettings};
 use crate::progress::left;
 use crate::shard::{Shard, needs_shard};
 
@@ -39,8 +39,9 @@ use crate::shard::{Shard, needs_shard};
         parts in --out and says which are missing (exit code 1); with all of them the figures are \
         those of one piece, bit by bit, but for the planning time.\n\n\
         --against FILE counts the maps on which one of two drivers alone succeeds; p is the \
-        probability of so uneven a split, or a more uneven one, between equally good drivers. The \
-        file does not tell the configuration of its evaluation, which may be another one.\n\n\
+        probability of so uneven a split, or a more uneven one, between equally good drivers. A \
+        file of other settings of [world] is refused, where the file tells them: older ones do \
+        not.\n\n\
         Examples:\n  \
         ./vlaps eval --driver expert --episodes 1000\n  \
         ./vlaps eval --driver mpc --episodes 200\n  \
@@ -130,7 +131,8 @@ impl Subcommand for Eval {
             episodes: self.episodes,
             threads: asked.min(of_use),
         };
-        let earlier = self.earlier(&task)?;
+        let settings = WorldSettings::of(&config.world)?;
+        let earlier = self.earlier(&task, &settings)?;
         if let (Some(shard), Some(out)) = (self.shard, &self.out) {
             shards::drive(self, (shard, out), (&task, &config), clock)?;
             return Ok(ExitCode::SUCCESS);
@@ -142,7 +144,7 @@ impl Subcommand for Eval {
         let drives = evaluate(&task, &config, clock, |_| bar.inc(1))?;
         let elapsed_s = clock().since_ns(begun) as f64 * 1e-9;
         bar.finish_and_clear();
-        let evaluation = Evaluation::new(&task, &drives);
+        let evaluation = Evaluation::new(&task, settings, &drives);
         let last_seed = task.first_seed.wrapping_add(task.episodes - 1);
         say(format_args!(
             "{} in {}, seeds {} to {last_seed}: {} on {} in {elapsed_s:.1} s",
@@ -188,7 +190,11 @@ struct Compared<'a> {
 
 impl Eval {
     /// What `--against` names, before hours of driving.
-    fn earlier(&self, task: &Task) -> anyhow::Result<Option<(&Path, Outcomes)>> {
+    fn earlier(
+        &self,
+        task: &Task,
+        settings: &WorldSettings,
+    ) -> anyhow::Result<Option<(&Path, Outcomes)>> {
         let Some(file) = &self.against else {
             return Ok(None);
         };
@@ -196,6 +202,7 @@ impl Eval {
             world: task.world.word().into(),
             first_seed: task.first_seed,
             episodes: task.episodes,
+            settings: Some(settings.clone()),
         };
         let read = Outcomes::read(file).and_then(|earlier| {
             earlier.check_maps(&maps)?;
@@ -218,8 +225,12 @@ fn compare(
 ) -> anyhow::Result<Comparison> {
     let this = Outcomes::of(&serde_json::to_value(evaluation)?)?;
     let compared = Comparison::new(&this, &earlier)?;
+    let doubt = match earlier.tells_settings() {
+        true => "",
+        false => ", if its configuration has the same maps for these seeds",
+    };
     say(format_args!(
-        "map by map, against {} of {}, if its configuration has the same maps for these seeds:",
+        "map by map, against {} of {}{doubt}:",
         compared.driver,
         file.display()
     ));

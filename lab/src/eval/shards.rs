@@ -17,6 +17,7 @@ use supervisor::subcommand::{say, write_json_option};
 use super::{Compared, Eval, compare, print};
 use crate::episodes::{DrivenEpisode, Drives, Task, evaluate_seeds};
 use crate::evaluation::Evaluation;
+use crate::outcomes::WorldSettings;
 use crate::outside;
 use crate::progress::Progress;
 use crate::report::hex;
@@ -217,9 +218,10 @@ pub fn report(arguments: &Eval, out: &Path) -> anyhow::Result<ExitCode> {
         episodes,
         threads: std::num::NonZeroUsize::MIN,
     };
-    let earlier = arguments.earlier(&task(merged.header.pieces))?;
+    let settings = WorldSettings::of(&merged.header.terms.section("world")?)?;
+    let earlier = arguments.earlier(&task(merged.header.pieces), &settings)?;
     let task = task(episodes);
-    let evaluation = Evaluation::new(&task, &drives);
+    let evaluation = Evaluation::new(&task, settings, &drives);
     let last_seed = task.first_seed.wrapping_add(merged.header.pieces - 1);
     say(format_args!(
         "{} in {}, seeds {first_seed} to {last_seed}: {} of {} of {}",

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use shm_config::config::Config;
 use toml::{Table, Value};
@@ -89,6 +90,19 @@ impl Terms {
     pub fn get(&self, name: &str) -> anyhow::Result<&str> {
         let found = self.0.get(name).map(String::as_str);
         found.with_context(|| format!("no {name:?} among the terms of the shards"))
+    }
+
+    /// A section of the configuration that figures may depend on.
+    ///
+    /// # Errors
+    /// If a term of it is none of its settings.
+    pub fn section<T: DeserializeOwned>(&self, name: &str) -> anyhow::Result<T> {
+        let of_section = |(term, value): (&String, &String)| {
+            let key = term.strip_prefix(name)?.strip_prefix('.')?;
+            Some(format!("{key} = {value}\n"))
+        };
+        let text: String = self.0.iter().filter_map(of_section).collect();
+        toml::from_str(&text).with_context(|| format!("[{name}] among the terms of the shards"))
     }
 
     /// Number of terms whose names begin so.

@@ -19,6 +19,7 @@ use super::results::{
 use super::training::End;
 use crate::episodes::{Task, evaluate_inside};
 use crate::evaluation::Evaluation;
+use crate::outcomes::WorldSettings;
 use crate::progress::Progress;
 use crate::stop::Stop;
 use stack::Clock;
@@ -218,7 +219,8 @@ fn evaluated(
         done(count);
     })?;
     let is_whole = drives.episodes.len() as u64 == task.episodes;
-    Ok(is_whole.then(|| Evaluation::new(task, &drives)))
+    let settings = WorldSettings::of(&config.world)?;
+    Ok(is_whole.then(|| Evaluation::new(task, settings, &drives)))
 }
 
 /// Evaluates the last policy of each training on many episodes of these seeds, once.
