@@ -97,7 +97,7 @@ impl Learned {
 
     /// Takes one step of the optimiser along the gathered gradient, and clears the
     /// gradient. A follower, a network of the same sizes, then moves towards this one by a
-    /// share ([`Network::follow`]).
+    /// share ([`follow`]).
     fn step(&mut self, threads: usize, follower: Option<(&mut Network, f32)>) {
         let parameters = self.network.parameters_mut().chunks_mut(PART);
         let parts = self.adam.begin_step(PART).zip(parameters);
