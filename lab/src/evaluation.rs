@@ -22,8 +22,9 @@ pub struct Evaluation {
     pub episodes: usize,
     /// Seed of the first episode.
     pub first_seed: u64,
-    /// What decides the maps of the seeds.
-    pub world_settings: WorldSettings,
+    /// What decides the maps of the seeds, where it is `[world]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub world_settings: Option<WorldSettings>,
     /// Share of episodes that arrived, with or without contacts: the paper's metric.
     pub success: Estimate,
     /// Share of episodes that arrived without any contact.
@@ -70,8 +71,8 @@ pub struct Failure {
 }
 
 impl Evaluation {
-    /// Computes the figures of episodes in a world with these settings.
-    pub fn new(task: &Task, world_settings: WorldSettings, drives: &Drives) -> Evaluation {
+    /// Computes the figures of episodes in a world with these settings, if they are known.
+    pub fn new(task: &Task, world_settings: Option<WorldSettings>, drives: &Drives) -> Evaluation {
         let episodes = &drives.episodes;
         let share = |hit: fn(&Episode) -> bool| {
             let hits = episodes.iter().filter(|episode| hit(episode)).count();

@@ -8,7 +8,8 @@ use std::path::Path;
 use anyhow::{Context, bail, ensure};
 use comfy_table::Table;
 use serde::{Deserialize, Serialize};
-use shm_config::config::World;
+use shm_config::config::{Simulator, World};
+use toml::Table as TomlTable;
 
 use crate::episodes::Cause;
 use crate::metric::Metric;
@@ -33,33 +34,32 @@ pub struct Outcomes {
 /// The settings of `[world]` that decide the maps of the seeds, and how long an episode may last.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
-pub struct WorldSettings(BTreeMap<String, serde_json::Value>);
+pub struct WorldSettings(BTreeMap<String, String>);
 
 impl WorldSettings {
-    /// Those of a configuration.
-    ///
-    /// # Errors
-    /// If a number of it has no text in JSON.
-    pub fn of(world: &World) -> anyhow::Result<WorldSettings> {
-        let mut settings: BTreeMap<String, serde_json::Value> =
-            serde_json::from_value(serde_json::to_value(world)?)?;
-        // The world has a field of its own, and maps have no rate.
-        settings.retain(|key, _| !["simulator", "rate_hz"].contains(&key.as_str()));
-        Ok(WorldSettings(settings))
+    /// Those of a configuration; `None` for worlds that draw their courses from something else.
+    pub fn of(world: &World, simulator: Simulator) -> Option<WorldSettings> {
+        if !matches!(simulator, Simulator::BuiltIn | Simulator::MetaDrive) {
+            return None;
+        }
+        let table = TomlTable::try_from(world).ok()?;
+        // `simulator` is a field of its own, and `rate_hz` changes no map.
+        let decisive = table
+            .into_iter()
+            .filter(|(key, _)| !["simulator", "rate_hz"].contains(&key.as_str()));
+        // As text, since a number of JSON may come back with other last bits.
+        let texts = decisive.map(|(key, value)| (key, value.to_string()));
+        Some(WorldSettings(texts.collect()))
     }
 
-    /// The first setting that differs, in words: `world.blocks 7, not 3`.
+    /// The first setting that differs, in words: `world.blocks 7, not 3`. A setting that one of
+    /// both does not have is of another build, and says nothing.
     fn difference(&self, other: &WorldSettings) -> Option<String> {
-        let keys = self.0.keys().chain(other.0.keys());
-        keys.filter(|key| self.0.get(*key) != other.0.get(*key))
-            .map(|key| {
-                let word = |of: &WorldSettings| match of.0.get(key) {
-                    Some(value) => value.to_string(),
-                    None => "absent".into(),
-                };
-                format!("world.{key} {}, not {}", word(self), word(other))
-            })
-            .next()
+        let mut both = self.0.iter().filter_map(|(key, own)| {
+            let theirs = other.0.get(key)?;
+            (own != theirs).then(|| format!("world.{key} {own}, not {theirs}"))
+        });
+        both.next()
     }
 }
 
@@ -72,7 +72,7 @@ pub struct Maps {
     pub first_seed: u64,
     /// Number of episodes.
     pub episodes: u64,
-    /// `None` in a file that was written before they were.
+    /// `None` in a file of an earlier version, and as [`WorldSettings::of`].
     #[serde(rename = "world_settings")]
     pub settings: Option<WorldSettings>,
 }
@@ -271,7 +271,8 @@ impl Comparison {
 /// interval if both are drawn at random; `None` if the maps differ, or with fewer than three
 /// trainings.
 pub fn over_seeds_and_maps(trainings: &[Outcomes], metric: Metric) -> Option<(f64, f64)> {
-    let maps = &trainings.first()?.maps;
+    let first = trainings.iter().find(|training| training.tells_settings());
+    let maps = &first.or(trainings.first())?.maps;
     let mut others = trainings.iter();
     if others.any(|training| training.maps.difference(maps).is_some()) {
         return None;
@@ -347,7 +348,7 @@ mod tests {
                 ..World::default()
             };
             let mut outcomes = this.clone();
-            outcomes.maps.settings = Some(WorldSettings::of(&world).expect("settings"));
+            outcomes.maps.settings = WorldSettings::of(&world, Simulator::BuiltIn);
             outcomes
         };
         let error = Comparison::new(&with(3), &with(7)).expect_err("other maps");
@@ -356,7 +357,10 @@ mod tests {
             "it was driven with world.blocks 7, not 3"
         );
         assert!(Comparison::new(&with(3), &with(3)).is_ok());
-        // Older files do not tell.
+        assert!(with(3).tells_settings());
+        let other = WorldSettings::of(&World::default(), Simulator::IrSim);
+        assert_eq!(other, None, "its courses follow the vehicle");
+        // Files of an earlier version have none.
         assert!(Comparison::new(&this, &with(3)).is_ok() && !this.tells_settings());
         let figures = |strict: f64, failures: serde_json::Value| {
             json!({

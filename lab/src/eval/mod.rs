@@ -40,8 +40,8 @@ use crate::shard::{Shard, needs_shard};
         those of one piece, bit by bit, but for the planning time.\n\n\
         --against FILE counts the maps on which one of two drivers alone succeeds; p is the \
         probability of so uneven a split, or a more uneven one, between equally good drivers. A \
-        file of other settings of [world] is refused, where the file tells them: older ones do \
-        not.\n\n\
+        file with other settings of [world] is refused. Files of earlier versions, and of other \
+        worlds than sim and metadrive, do not contain them: the output says so.\n\n\
         Examples:\n  \
         ./vlaps eval --driver expert --episodes 1000\n  \
         ./vlaps eval --driver mpc --episodes 200\n  \
@@ -131,7 +131,7 @@ impl Subcommand for Eval {
             episodes: self.episodes,
             threads: asked.min(of_use),
         };
-        let settings = WorldSettings::of(&config.world)?;
+        let settings = WorldSettings::of(&config.world, task.world);
         let earlier = self.earlier(&task, &settings)?;
         if let (Some(shard), Some(out)) = (self.shard, &self.out) {
             shards::drive(self, (shard, out), (&task, &config), clock)?;
@@ -193,7 +193,7 @@ impl Eval {
     fn earlier(
         &self,
         task: &Task,
-        settings: &WorldSettings,
+        settings: &Option<WorldSettings>,
     ) -> anyhow::Result<Option<(&Path, Outcomes)>> {
         let Some(file) = &self.against else {
             return Ok(None);
@@ -202,7 +202,7 @@ impl Eval {
             world: task.world.word().into(),
             first_seed: task.first_seed,
             episodes: task.episodes,
-            settings: Some(settings.clone()),
+            settings: settings.clone(),
         };
         let read = Outcomes::read(file).and_then(|earlier| {
             earlier.check_maps(&maps)?;
@@ -227,7 +227,7 @@ fn compare(
     let compared = Comparison::new(&this, &earlier)?;
     let doubt = match earlier.tells_settings() {
         true => "",
-        false => ", if its configuration has the same maps for these seeds",
+        false => " (which does not contain the settings of its world: its maps may differ)",
     };
     say(format_args!(
         "map by map, against {} of {}{doubt}:",

@@ -218,7 +218,9 @@ pub fn report(arguments: &Eval, out: &Path) -> anyhow::Result<ExitCode> {
         episodes,
         threads: std::num::NonZeroUsize::MIN,
     };
-    let settings = WorldSettings::of(&merged.header.terms.section("world")?)?;
+    // The terms of another build may have other settings.
+    let section = merged.header.terms.section("world").ok();
+    let settings = section.and_then(|section| WorldSettings::of(&section, world));
     let earlier = arguments.earlier(&task(merged.header.pieces), &settings)?;
     let task = task(episodes);
     let evaluation = Evaluation::new(&task, settings, &drives);

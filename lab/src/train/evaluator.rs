@@ -126,8 +126,8 @@ impl Evaluator {
     }
 }
 
-/// Lowers the priority of this thread, and of those that it starts: the training takes turns
-/// between driving and learning, and nothing of it waits for an evaluation.
+/// Lowers the priority of this thread, and of those that it starts: the training alternates
+/// between driving and learning, and waits for evaluations only at its end.
 fn give_way() {
     // It may be low already.
     let _ = rustix::process::setpriority_process(None, NICE);
@@ -219,7 +219,7 @@ fn evaluated(
         done(count);
     })?;
     let is_whole = drives.episodes.len() as u64 == task.episodes;
-    let settings = WorldSettings::of(&config.world)?;
+    let settings = WorldSettings::of(&config.world, Simulator::BuiltIn);
     Ok(is_whole.then(|| Evaluation::new(task, settings, &drives)))
 }
 

@@ -108,12 +108,12 @@ impl Learned {
         };
         match follower {
             None => share(threads, parts, step),
-            Some((follower, part)) => {
+            Some((follower, rate)) => {
                 let followers = follower.parameters_mut().chunks_mut(PART);
                 share(threads, parts.zip(followers), |(own, follower)| {
                     let ((adam, parameters), gradient) = own;
                     step(((adam, &mut *parameters), gradient));
-                    follow(follower, parameters, part);
+                    follow(follower, parameters, rate);
                 });
             }
         }

@@ -258,11 +258,11 @@ impl Pvp {
         self.targets(random, threads);
         let critic = self.critic_loss(threads);
         self.updates += 1;
-        let is_actors = self.updates.is_multiple_of(POLICY_DELAY);
+        let updates_actor = self.updates.is_multiple_of(POLICY_DELAY);
         for (critic, target) in self.critics.iter_mut().zip(&mut self.critic_targets) {
-            critic.step(threads, is_actors.then_some((target, TAU)));
+            critic.step(threads, updates_actor.then_some((target, TAU)));
         }
-        if is_actors {
+        if updates_actor {
             self.last_actor = self.actor_loss(threads);
             self.actor
                 .step(threads, Some((&mut self.actor_target, TAU)));

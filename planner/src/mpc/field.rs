@@ -133,7 +133,7 @@ impl Field {
         let cells = &mut self.clearance_m[row * COLUMNS..][..COLUMNS];
         for (column, cell) in cells.iter_mut().enumerate().take(end).skip(first) {
             let left_m = (column as f64 + 0.5) * ACROSS_M - SIDE_M - place.left_m;
-            // The processor takes roots of several cells at a time, and `hypot` of one.
+            // Not `hypot`, which takes one cell at a time.
             let away_m = (along_m * along_m + left_m * left_m).sqrt() as f32;
             *cell = if away_m < *cell { away_m } else { *cell };
         }
@@ -149,7 +149,8 @@ impl Field {
         let row = &self.clearance_m[row as usize * COLUMNS..][..COLUMNS];
         // Negative where the first places lie to the right of the field.
         let column = ((first.left_m + SIDE_M) / ACROSS_M).floor() as isize;
-        let (beside, from) = ((-column).max(0) as usize, column.max(0) as usize);
+        let beside = column.saturating_neg().max(0) as usize;
+        let from = column.max(0) as usize;
         let cells = row.get(from..).unwrap_or_default();
         let places = clearance_m.get_mut(beside..).unwrap_or_default();
         for (least, &cell) in places.iter_mut().zip(cells) {

@@ -102,8 +102,8 @@ impl Path {
     }
 }
 
-/// A number for each lane, from the right to the left. All that happens at a station happens to
-/// whole rows of lanes, so that the processor works on several lanes at a time.
+/// A number for each lane, from the right to the left. Each step of the search works on a whole
+/// row, so that the compiler can use vectors.
 type Lanes<T> = [T; LANES];
 
 /// Finds the cheapest path over a lattice of places and slopes by dynamic

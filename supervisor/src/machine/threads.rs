@@ -178,9 +178,12 @@ mod tests {
     fn this_test_is_a_thread_beside_the_first() {
         let pid = std::process::id();
         // While a thread ends, as those of other tests do, the kernel's list may miss another one.
-        let mut lists = (0..100).map(|_| threads(pid, &Health::default()));
+        let mut lists = (0..100)
+            .map(|_| threads(pid, &Health::default()))
+            .peekable();
+        let first = lists.peek().cloned();
         let all = lists.find(|all| all.len() >= 2 && all[0].is_tick);
-        let all = all.expect("the first thread and this one");
+        let all = all.unwrap_or_else(|| panic!("not the first thread and this one: {first:?}"));
         assert!(
             all[1..]
                 .iter()
