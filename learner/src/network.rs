@@ -16,8 +16,9 @@ use crate::windows::{Seen, Windows};
 /// for any number.
 pub const ROWS: usize = 128;
 
-/// Parameters whose gradients one thread adds up at a time.
-const CHUNK: usize = 8192;
+/// Parameters whose gradients one thread adds up, or with which it steps, at a time: they and
+/// their moments fit into its cache.
+pub(crate) const CHUNK: usize = 8192;
 
 /// The activation of the last layer; the other layers end with a ReLU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

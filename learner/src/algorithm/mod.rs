@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use shm_config::message::INPUTS_WITH_MOTION;
 
 use crate::adam::Part;
-use crate::network::{Head, Network, follow};
+use crate::network::{CHUNK, Head, Network, follow};
 use crate::replay::{ACTIONS, Buffer, Replay};
 use crate::share::share;
 use crate::{Adam, Rate, features};
@@ -26,9 +26,6 @@ use crate::{Adam, Rate, features};
 pub use ppl::Ppl;
 pub use pvp::Pvp;
 pub use regression::{Regression, Source};
-
-/// Parameters that one thread steps with at a time: they and their moments fit into its cache.
-const PART: usize = 8192;
 
 /// The sizes that all algorithms have.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -99,9 +96,9 @@ impl Learned {
     /// gradient. A follower, a network of the same sizes, then moves towards this one by a
     /// share ([`follow`]).
     fn step(&mut self, threads: usize, follower: Option<(&mut Network, f32)>) {
-        let parameters = self.network.parameters_mut().chunks_mut(PART);
-        let parts = self.adam.begin_step(PART).zip(parameters);
-        let parts = parts.zip(self.gradient.chunks_mut(PART));
+        let parameters = self.network.parameters_mut().chunks_mut(CHUNK);
+        let parts = self.adam.begin_step(CHUNK).zip(parameters);
+        let parts = parts.zip(self.gradient.chunks_mut(CHUNK));
         let step = |((adam, parameters), gradient): ((Part, &mut [f32]), &mut [f32])| {
             adam.step(parameters, gradient);
             gradient.fill(0.0);
@@ -109,7 +106,7 @@ impl Learned {
         match follower {
             None => share(threads, parts, step),
             Some((follower, rate)) => {
-                let followers = follower.parameters_mut().chunks_mut(PART);
+                let followers = follower.parameters_mut().chunks_mut(CHUNK);
                 share(threads, parts.zip(followers), |(own, follower)| {
                     let ((adam, parameters), gradient) = own;
                     step(((adam, &mut *parameters), gradient));
@@ -201,5 +198,55 @@ fn assert_gradients(gradients: &[f32], what: &str, mut loss: impl FnMut(usize, f
             error < TOLERANCE,
             "{what}, number {k}: {gradient}, by differences {difference}"
         );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    use super::*;
+    use crate::network::Tape;
+
+    /// With more parameters than one thread takes at a time, and more rows than one part has.
+    #[test]
+    fn any_number_of_threads_steps_to_the_same_bits() {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
+        let begun = Learned::new(
+            &[100, 200, 2],
+            Head::Tanh,
+            Rate::constant(1e-3),
+            &mut random,
+        );
+        assert!(begun.network.parameters().len() > 2 * CHUNK);
+        let states: Vec<f32> = (0..300 * 100).map(|k| (k % 17) as f32 * 0.05).collect();
+        let delta: Vec<f32> = (0..300 * 2).map(|k| (k % 5) as f32 * 0.1 - 0.2).collect();
+        let learnt = |threads: usize| {
+            let (mut own, mut follower) = (begun.clone(), begun.network.clone());
+            let mut tape = Tape::default();
+            for _ in 0..3 {
+                own.network.forward(&states, threads, &mut tape);
+                let gradient = Some(&mut own.gradient[..]);
+                let pass = (&states[..], &delta[..]);
+                own.network
+                    .backward(pass, threads, &mut tape, gradient, None);
+                // The same step in one piece.
+                let (mut plain, mut adam) = (own.network.clone(), own.adam.clone());
+                adam.step(plain.parameters_mut(), &own.gradient);
+                let mut followed = follower.clone();
+                follow(followed.parameters_mut(), plain.parameters(), 0.1);
+                own.step(threads, Some((&mut follower, 0.1)));
+                assert_eq!((&own.network, &own.adam), (&plain, &adam));
+                assert_eq!(follower, followed);
+                assert!(own.gradient.iter().all(|slope| *slope == 0.0));
+            }
+            (own, follower)
+        };
+        let one = learnt(1);
+        assert_ne!(one.0.network, begun.network);
+        for threads in [2, 3] {
+            assert!(learnt(threads) == one, "{threads} threads");
+        }
     }
 }
