@@ -1,7 +1,5 @@
 //! New weights: in shadow, active and watched, settled; or rolled back.
 
-mod road;
-
 use controller::{
     Candidate, Controller, Exchanged, Inputs, Intent, Mailbox, Policy, PolicySlot, StartStage,
     SwapEvent, TickEnd,
@@ -10,6 +8,8 @@ use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::{Observation, Reason};
 use vehicle::Action;
+
+use crate::road;
 
 /// Answers alternately.
 struct Two {

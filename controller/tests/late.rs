@@ -1,13 +1,11 @@
 //! What becomes of a decision that is over its deadline.
 
-mod road;
-
 use controller::{Controller, Inputs, Intent, PolicySlot};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode, Late};
 use shm_config::message::{Command, Driver, Reason};
 
-use road::{observation, plan};
+use crate::road::{observation, plan};
 
 const NOW: Instant = Instant(100_000_000_000);
 

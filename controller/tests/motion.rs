@@ -1,7 +1,5 @@
 //! A policy that is told how the bodies around the car move.
 
-mod road;
-
 use controller::{Controller, Inputs, Intent, Policy, PolicySlot, Recomputer};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
@@ -9,6 +7,8 @@ use shm_config::message::{
     FEATURES, INPUTS_WITH_MOTION, MOTION_AT_REST, MOTION_FEATURES, Observation, Step,
 };
 use vehicle::Action;
+
+use crate::road;
 
 const PERIOD_NS: u64 = 100_000_000;
 

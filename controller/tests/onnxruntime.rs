@@ -1,15 +1,13 @@
 //! Policies that are no chain of layers run in ONNX Runtime, where it is.
 
-#[path = "../../policy/tests/convolved/mod.rs"]
-mod convolved;
-#[path = "../../policy/tests/torch/mod.rs"]
-mod torch;
-
 use controller::{Policy, Terms, build, library};
 use shm_config::config::{Backend, Config};
 use shm_config::message::FEATURES;
 use shm_config::time::monotonic;
 use vehicle::Action;
+
+use crate::convolved;
+use crate::torch;
 
 const GATED: &[u8] = include_bytes!("../../policy/tests/data/torch_gated.onnx");
 

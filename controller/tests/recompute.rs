@@ -1,7 +1,5 @@
 //! A recorded tick, computed again from its step and the configuration alone.
 
-mod recorded;
-
 use std::collections::BTreeSet;
 
 use controller::Recomputer;
@@ -9,7 +7,7 @@ use shm_config::config::{Config, GateMode, Late};
 use shm_config::draw::Draw;
 use shm_config::message::Step;
 
-use recorded::{Recording, net, seen};
+use crate::recorded::{Recording, net, seen};
 
 /// Recordings, each with a configuration and a seed of its own.
 const RECORDINGS: u64 = 20;

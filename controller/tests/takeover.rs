@@ -1,14 +1,12 @@
 //! Takeovers: which driver drives during one, and without one.
 
-mod road;
-
 use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::{Driver, Reason, Step, Takeover};
 use vehicle::Action;
 
-use road::{Fixed, observation, plan, wall};
+use crate::road::{Fixed, observation, plan, wall};
 
 const NOW: Instant = Instant(100_000_000_000);
 const TICK_NS: u64 = 100_000_000;

@@ -1,7 +1,5 @@
 //! The tick answers every input and says why.
 
-mod road;
-
 use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
@@ -10,7 +8,7 @@ use shm_config::message::{
 };
 use vehicle::Action;
 
-use road::{Fixed, observation, wall};
+use crate::road::{self, Fixed, observation, wall};
 
 const SECOND: u64 = 1_000_000_000;
 const NOW: Instant = Instant(100 * SECOND);

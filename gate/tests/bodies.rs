@@ -1,8 +1,6 @@
 //! The body of a request, compared byte by byte with the files in `bodies/`. After an
-//! intended change run `VLAPS_WRITE_BODIES=1 cargo test -p gate --test bodies`, and
+//! intended change run `VLAPS_WRITE_BODIES=1 cargo test -p gate --test all bodies::`, and
 //! read the difference.
-
-mod shared;
 
 use std::path::Path;
 
@@ -11,6 +9,8 @@ use gate::presentation::picture::Encoding;
 use gate::presentation::picture::Picture;
 use serde_json::Value;
 use shm_config::config::{PromptPreset, Vlm};
+
+use crate::shared;
 
 fn body_of(preset: PromptPreset) -> String {
     let vlm = Vlm {

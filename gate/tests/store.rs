@@ -1,7 +1,5 @@
 //! The folder of records: complete lines, bounded size, and a full disk.
 
-mod records;
-
 use shm_config::message::Preference;
 use std::fs::{self, OpenOptions};
 use std::io::Write;
@@ -10,7 +8,8 @@ use std::path::Path;
 use gate::presentation::{Party, Reply};
 use gate::record::Record;
 use gate::record::store::{PICTURES, QUESTIONS, QUESTIONS_BEFORE, ReadError, Store, read};
-use records::{SHOWING, asking, picture, record};
+
+use crate::records::{SHOWING, asking, picture, record};
 
 fn some_record() -> Record {
     let askings = vec![
@@ -174,7 +173,7 @@ fn a_full_disk_is_counted_and_stops_no_run() {
         let output = std::process::Command::new("sh")
             .args(["-c", limits])
             .arg(std::env::current_exe().expect("this program"))
-            .args(["--exact", "a_full_disk_is_counted_and_stops_no_run"])
+            .args(["--exact", "store::a_full_disk_is_counted_and_stops_no_run"])
             .env(WITHIN, "1")
             .output()
             .expect("a shell");

@@ -1,8 +1,5 @@
 //! Questions over HTTP, and their limits: rate, concurrency, budget, circuit breaker.
 
-#[path = "../../gate/tests/shared/mod.rs"]
-mod shared;
-
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,8 +7,9 @@ use gate::model::{Asked, Asker, Fault};
 use gate::presentation::{Hue, Prompt, Reply};
 use image::ImageFormat;
 use judge::standin::{Options, Server, ServerFault};
-use shared::{PATIENCE_S, SHOWING, ask, asker, picture, prompt, red_ahead, runtime, vlm};
 use shm_config::config::{PromptPreset, View, Vlm};
+
+use crate::shared::{PATIENCE_S, SHOWING, ask, asker, picture, prompt, red_ahead, runtime, vlm};
 
 const BLIND: PromptPreset = PromptPreset::Blind;
 

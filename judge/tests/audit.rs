@@ -1,8 +1,5 @@
 //! The audit's figures and page; text of a model must not become markup.
 
-#[path = "../../gate/tests/records/mod.rs"]
-mod records;
-
 use shm_config::message::Preference;
 use std::path::Path;
 use std::process::Command;
@@ -11,7 +8,8 @@ use gate::presentation::{Party, Reply};
 use gate::record::Record;
 use gate::record::store::{Records, Store, read};
 use judge::audit::{Figures, page};
-use records::{SHOWING, asking, picture, record};
+
+use crate::records::{SHOWING, asking, picture, record};
 
 /// Asked twice, the paths swapped.
 fn pair(replies: [Reply; 2], preference: Option<Preference>, safer: Party) -> Record {

@@ -1,9 +1,6 @@
 //! Distillation: the same file for the same seed, a net that finds the rule behind its
 //! teacher's answers also when many are wrong, and records that cannot teach.
 
-#[path = "../../gate/tests/records/mod.rs"]
-mod records;
-
 use std::path::{Path, PathBuf};
 
 use gate::distilled::encode;
@@ -12,11 +9,12 @@ use gate::record::store::Store;
 use gate::record::{Asking, NetOpinion, Proposed, Record, Unsure};
 use judge::distil::samples::Sample;
 use judge::distil::{Figures, Group, Learn, Samples, Schedule, Split, distil};
-use records::{SHOWING, asking, record};
 use shm_config::config::Run;
 use shm_config::draw::Draw;
 use shm_config::message::{Observation, Preference};
 use shm_config::seen::Seen;
+
+use crate::records::{SHOWING, asking, record};
 
 /// A straight road with a wall ahead on one side. The proposal that steers towards it
 /// ends in an accident, and the teacher knows that.

@@ -2,15 +2,13 @@
 //! none after a permanent fault. The compiler enforces a row for each fault of the
 //! stand-in.
 
-#[path = "../../gate/tests/shared/mod.rs"]
-mod shared;
-
 use std::net::TcpListener;
 
 use gate::model::{Asker, Fault};
 use judge::standin::{Options, Server, ServerFault};
-use shared::{PATIENCE_S, ask, asker, prompt, red_ahead, vlm};
 use shm_config::config::{PromptPreset, Vlm};
+
+use crate::shared::{PATIENCE_S, ask, asker, prompt, red_ahead, vlm};
 
 /// The expected result of a server fault; `None` where the answer is valid all the same.
 fn expected(injected: ServerFault, preset: PromptPreset) -> Option<Fault> {

@@ -1,9 +1,6 @@
 //! HTTPS with a private certificate authority: it is trusted if and only if `vlm.ca_file`
 //! names it.
 
-#[path = "../../gate/tests/shared/mod.rs"]
-mod shared;
-
 use std::fs;
 use std::io;
 use std::net::SocketAddr;
@@ -18,11 +15,12 @@ use judge::standin::{Options, Server};
 use rustls::ServerConfig;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
-use shared::{PATIENCE_S, ask, prompt, red_ahead, runtime, vlm};
 use shm_config::config::{PromptPreset, Vlm};
 use tempfile::tempdir;
 use tokio::net::{TcpListener, TcpStream};
 use tokio_rustls::TlsAcceptor;
+
+use crate::shared::{PATIENCE_S, ask, prompt, red_ahead, runtime, vlm};
 
 /// A private authority, and a certificate for 127.0.0.1 that it has signed, with its
 /// key; `https/make.sh` makes them.

@@ -1,8 +1,5 @@
 //! The stand-in is asked the questions of a record again over HTTP.
 
-#[path = "../../gate/tests/records/mod.rs"]
-mod records;
-
 use shm_config::message::Preference;
 use std::sync::Arc;
 
@@ -14,11 +11,12 @@ use gate::record::store::{Store, read};
 use judge::pixels::PixelRules;
 use judge::replay::{Comparison, Replay, Step};
 use judge::standin::{Options, Server};
-use records::{SHOWING, asking, record};
 use shm_config::config::{PromptPreset, View, Vlm};
 use shm_config::message::Camera;
 use shm_config::palette;
 use vehicle::{Action, Vehicle};
+
+use crate::records::{SHOWING, asking, record};
 
 const SIZE: [u32; 2] = [480, 480];
 

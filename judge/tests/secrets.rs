@@ -1,16 +1,14 @@
 //! The API key is sent in one header and appears nowhere else.
 
-#[path = "../../gate/tests/shared/mod.rs"]
-mod shared;
-
 use std::io::Write;
 use std::sync::{Arc, Mutex};
 
 use gate::model::{Asker, Fault};
 use judge::standin::{Options, Server, ServerFault};
-use shared::{PATIENCE_S, ask, prompt, red_ahead, vlm};
 use shm_config::config::PromptPreset;
 use tracing_subscriber::fmt::MakeWriter;
+
+use crate::shared::{PATIENCE_S, ask, prompt, red_ahead, vlm};
 
 const SECRET: &str = "sk-test-9f8e7d-never-to-be-seen";
 

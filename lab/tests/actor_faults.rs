@@ -1,8 +1,6 @@
 //! A learner of actors and what an actor may do wrong: hostile frames, doubled, late and
 //! foreign answers. None of them changes a policy, and each is counted.
 
-mod small_training;
-
 use std::io::{Read, Write};
 use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
@@ -22,9 +20,10 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::config::from_toml;
 use shm_config::message::Step;
-use small_training::{BLOCK, clock, config};
 use supervisor::machine::signals::pause;
 use tempfile::TempDir;
+
+use crate::small_training::{BLOCK, clock, config};
 
 const STEPS: u64 = 4 * BLOCK;
 

@@ -1,8 +1,6 @@
 //! Actors of other machines: only an actor that the run has invited joins, and its steps teach
 //! the same policies.
 
-mod small_training;
-
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -23,9 +21,10 @@ use lab::actors::tls::{CertifiedKey, Invitation, ListenerKeys, joining};
 use lab::stop::Stop;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
-use small_training::{BLOCK, clock, config};
 use supervisor::machine::signals::pause;
 use tempfile::TempDir;
+
+use crate::small_training::{BLOCK, clock, config};
 
 const STEPS: u64 = 3 * BLOCK;
 /// The identity in the actor's certificate.

@@ -1,12 +1,11 @@
 //! Tests that steps become transitions and that each step is counted.
 
-mod steps;
-
 use learner::assembler::{Assembler, Counts, Labelling};
 use learner::replay::{Then, Transition};
 use shm_config::config::GateMode;
 use shm_config::message::{Preference, Reason, Step};
-use steps::{CONTROLLER, PERIOD_NS, WORLD, advised, of_episode, state, step, vetoed};
+
+use crate::steps::{CONTROLLER, PERIOD_NS, WORLD, advised, of_episode, state, step, vetoed};
 
 #[test]
 fn a_sequence_number_at_the_end_of_its_range_does_not_overflow() {

@@ -1,15 +1,14 @@
 //! Tests that a learner that is stopped or killed continues from its state on disk.
 
-mod steps;
-
 use std::fs;
 use std::path::Path;
 
 use learner::session::Session;
 use shm_config::config::{Algorithm, Config};
 use shm_config::message::Step;
-use steps::{BLOCK, config, step, vetoed};
 use tempfile::TempDir;
+
+use crate::steps::{BLOCK, config, step, vetoed};
 
 const ALGORITHMS: [Algorithm; 5] = [
     Algorithm::Pvp,

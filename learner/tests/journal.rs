@@ -370,7 +370,7 @@ fn append_for_ever(path: &Path) -> ! {
 
 #[test]
 fn a_process_killed_at_any_instant_leaves_a_whole_file() {
-    const NAME: &str = "a_process_killed_at_any_instant_leaves_a_whole_file";
+    const NAME: &str = "journal::a_process_killed_at_any_instant_leaves_a_whole_file";
     if let Some(path) = std::env::var_os(CHILD) {
         append_for_ever(Path::new(&path));
     }

@@ -1,7 +1,5 @@
 //! A policy trained anew on the replay of a session.
 
-mod steps;
-
 use std::fs;
 use std::path::Path;
 
@@ -10,8 +8,9 @@ use learner::relearn::Relearning;
 use learner::session::Session;
 use policy::{Net, decode};
 use shm_config::config::{Algorithm, Config};
-use steps::{BLOCK, config, step, vetoed};
 use tempfile::TempDir;
+
+use crate::steps::{BLOCK, config, step, vetoed};
 
 /// Two blocks, and the step after them.
 const STEPS: u64 = 2 * BLOCK + 1;

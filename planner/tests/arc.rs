@@ -1,12 +1,10 @@
 //! Arcs on the bit grid against points sampled along them.
 
-mod course;
-mod reference;
-
 use planner::{Cell, Grid};
 use proptest::prelude::*;
-use reference::{small_config, wild_observation};
 use vehicle::{Point, Vector};
+
+use crate::reference::{small_config, wild_observation};
 
 /// Sampled points are this far apart, in cells.
 const APART: f64 = 2e-3;

@@ -1,10 +1,9 @@
 //! The loop closed: the plans, tracked as the paper tracks them, drive a car.
 
-mod course;
-
-use course::driver::{drive, random_course};
-use course::{Course, ROAD_WIDTH_M, Road};
 use planner::PlannerConfig;
+
+use crate::course::driver::{drive, random_course};
+use crate::course::{Course, ROAD_WIDTH_M, Road};
 
 /// The body is inside the road while the centre is this far from its edge, m.
 const BODY_M: f64 = 0.926;

@@ -1,14 +1,12 @@
 //! Where the local goal is.
 
-mod course;
-mod reference;
-
-use course::{CAR, Course, ROAD_WIDTH_M, Road};
 use planner::{Corridor, Grid, PlannerConfig, choose_goal};
 use proptest::prelude::*;
-use reference::{small_config, wild_observation};
 use shm_config::message::Observation;
 use vehicle::{Point, State, pose};
+
+use crate::course::{CAR, Course, ROAD_WIDTH_M, Road};
+use crate::reference::{small_config, wild_observation};
 
 fn goal_body(config: &PlannerConfig, observation: &Observation) -> Point {
     let mut grid = Grid::new(config);

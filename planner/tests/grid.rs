@@ -1,13 +1,12 @@
 //! The bit-packed grid and its lines against cell-by-cell answers.
 
-mod course;
-mod reference;
-
 use planner::{Cell, Grid, PlannerConfig};
 use proptest::prelude::*;
-use reference::{Dense, small_config, wild_observation};
 use shm_config::message::Observation;
 use vehicle::Point;
+
+use crate::course;
+use crate::reference::{Dense, small_config, wild_observation};
 
 fn filled(config: &PlannerConfig, observation: &Observation) -> Grid {
     let mut grid = Grid::new(config);

@@ -1,15 +1,13 @@
 //! RRT* with a memory: what it keeps, what it forgets, and that it is no worse.
 
-mod course;
-mod reference;
-
-use course::random_scene;
 use planner::{Informed, Node, PlannerConfig, RrtStar};
 use proptest::prelude::*;
-use reference::{Dense, small_config, wild_observation};
 use shm_config::config::Informed as Settings;
 use shm_config::message::{Observation, Plan, PlanOutcome};
 use vehicle::{Point, pose};
+
+use crate::course::random_scene;
+use crate::reference::{Dense, small_config, wild_observation};
 
 /// Small planners; the inflation is the method's own.
 fn small() -> impl Strategy<Value = (PlannerConfig, Settings)> {

@@ -1,15 +1,13 @@
 //! The tree over poses and its path: what must hold of them in any scene.
 
-mod course;
-mod reference;
-
-use course::{Course, Road};
 use planner::{Dubins, Kinodynamic, PoseNode};
 use proptest::prelude::*;
-use reference::{Dense, small_config, wild_observation};
 use shm_config::config::{Config, Kinodynamic as Settings};
 use shm_config::message::{Observation, Plan, PlanOutcome};
 use vehicle::{Point, Pose, State, Vehicle, pose, wrap_rad};
+
+use crate::course::{self, Course, Road};
+use crate::reference::{Dense, small_config, wild_observation};
 
 /// A car small enough for small grids, now and then, and one speed only.
 fn wild_config() -> impl Strategy<Value = Config> {

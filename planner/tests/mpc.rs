@@ -1,8 +1,6 @@
 //! Model-predictive control, by how it drives and by what it answers when things
 //! go wrong.
 
-mod course;
-
 use planner::{Mpc, Planner};
 use shm_config::Message;
 use shm_config::config::planner::Method;
@@ -10,8 +8,8 @@ use shm_config::config::{Clock, Config};
 use shm_config::message::{Observation, Plan, PlanOutcome};
 use vehicle::{Action, State, Vehicle, pose, step};
 
-use course::driver::random_course;
-use course::{CAR, Course, Dice, ROAD_WIDTH_M, Road, random_scene};
+use crate::course::driver::random_course;
+use crate::course::{CAR, Course, Dice, ROAD_WIDTH_M, Road, random_scene};
 
 const STEP_S: f64 = 0.1;
 

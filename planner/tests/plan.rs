@@ -1,12 +1,10 @@
 //! What a plan says, and that it depends on its observation alone.
 
-mod course;
-mod reference;
-
 use planner::{PlannerConfig, RrtStar};
 use proptest::prelude::*;
-use reference::{small_config, wild_observation};
 use shm_config::message::{Observation, Plan, PlanOutcome, Waypoint};
+
+use crate::reference::{small_config, wild_observation};
 
 fn planner() -> RrtStar {
     RrtStar::new(PlannerConfig::default()).unwrap()

@@ -1,13 +1,12 @@
 //! The tree of RRT* against one grown by the book, and what must hold of it.
 
-mod course;
-mod reference;
-
 use planner::{Node, PlannerConfig, RrtStar};
 use proptest::prelude::*;
-use reference::{Dense, slow_tree, small_config, wild_observation};
 use shm_config::message::{Observation, Plan, PlanOutcome};
 use vehicle::Point;
+
+use crate::course;
+use crate::reference::{self, Dense, slow_tree, small_config, wild_observation};
 
 fn planned(config: PlannerConfig, observation: &Observation) -> (RrtStar, Plan) {
     let mut planner = RrtStar::new(config).unwrap();

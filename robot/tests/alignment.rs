@@ -1,18 +1,14 @@
 //! Scans of known places, aligned: the motion between them, its information, and which part
 //! of it they do not show.
 
-#[path = "../examples/estimated/dice.rs"]
-mod dice;
-#[path = "../examples/estimated/walls.rs"]
-mod walls;
-
 use allocation_counter::measure;
-use dice::Dice;
 use nalgebra::{Matrix3, Vector3};
 use robot::estimate::{Aligned, Outline, Unaligned, align};
 use robot::{Point, wrap_rad};
 use vehicle::{Fan, Pose, Scanner, pose};
-use walls::{Wall, along, range_m};
+
+use crate::dice::Dice;
+use crate::walls::{Wall, along, range_m};
 
 const RANGE_STD_M: f64 = 0.02;
 const MAX_M: f64 = 50.0;

@@ -2,26 +2,21 @@
 //! carries the same frames: a kernel without CAN has no virtual interface. The machine's
 //! frames are written here by the table of the example, not by its code.
 
-#[path = "../examples/can/frames.rs"]
-mod frames;
-mod machine;
-#[path = "../examples/corridor/report.rs"]
-mod report;
-
 use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use frames::{BEAMS_CAN, MOTION, ORDER, PLACE, RANGES, Reports, order};
-use machine::{BEAMS, Machine, STEP};
-use report::Report;
 use robot::{Action, Observation};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketType, accept, bind, listen, socket};
 use shm_config::message::Message;
 use socketcan::{CanDataFrame, CanFrame, CanSocket, EmbeddedFrame, Frame, Socket, StandardId};
 use vlaps_tests::Set;
+
+use crate::frames::{BEAMS_CAN, MOTION, ORDER, PLACE, RANGES, Reports, order};
+use crate::machine::{self, BEAMS, Machine, STEP};
+use crate::report::Report;
 
 fn frame(id: u16, bytes: &[u8]) -> CanFrame {
     let id = StandardId::new(id).expect("a standard identifier");

@@ -89,18 +89,10 @@ fn assert_breaks(flaw: &str, promises: &[&str]) {
     assert!(told.contains("promises are not held"), "{told}");
 }
 
+/// The built-in world, the template, and the template as a small and slow car. All at
+/// once: each takes half a minute, in which its processes mostly wait.
 #[test]
-fn the_built_in_world_keeps_every_promise() {
-    assert_keeps_all("sim", &[]);
-}
-
-#[test]
-fn the_template_keeps_every_promise() {
-    assert_keeps_all(&example("template").display().to_string(), &[]);
-}
-
-#[test]
-fn a_small_and_slow_car_keeps_every_promise() {
+fn sound_worlds_keep_every_promise() {
     let folder = TempDir::new().expect("a folder");
     let file = folder.path().join("slow.toml");
     let car = "[vehicle]\nlength_m = 0.4\nwidth_m = 0.3\nwheelbase_m = 0.25\n\
@@ -109,10 +101,16 @@ fn a_small_and_slow_car_keeps_every_promise() {
     std::fs::write(&file, car).expect("a vehicle file");
     let file = file.display().to_string();
     let template = example("template").display().to_string();
-    assert_keeps_all(&template, &["--vehicle", &file]);
+    let slow = ["--vehicle", &file];
+    let worlds = [("sim", &[][..]), (&template, &[]), (&template, &slow)];
+    std::thread::scope(|scope| {
+        for (world, options) in worlds {
+            scope.spawn(move || assert_keeps_all(world, options));
+        }
+    });
 }
 
-/// All at once: each takes half a minute, in which its processes mostly wait.
+/// All at once, too.
 #[test]
 fn flawed_worlds_are_found() {
     let flaws = [

@@ -1,15 +1,12 @@
 //! The filter against a truth that moves as it assumes: its covariance is that of its
 //! errors, and what is late, missing or wrong is treated as its documents say.
 
-#[path = "../examples/estimated/dice.rs"]
-mod dice;
 #[path = "estimate/refused.rs"]
 mod refused;
 #[path = "estimate/simulated.rs"]
 mod simulated;
 
 use allocation_counter::measure;
-use dice::Dice;
 use nalgebra::Matrix3;
 use refused::{imu, place};
 use robot::estimate::{
@@ -19,6 +16,8 @@ use robot::estimate::{
 use shm_config::Instant;
 use simulated::{Drive, IMU_NS, TICK_NS, Taken, filter, filtered};
 use vehicle::pose;
+
+use crate::dice::Dice;
 
 const RUNS: u64 = 200;
 const DURATION_S: f64 = 10.0;

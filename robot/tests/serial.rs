@@ -1,26 +1,20 @@
 //! The example on a serial line, against a machine at the other end of a pseudo terminal.
 
-#[path = "../examples/serial/link.rs"]
-mod link;
-
-mod machine;
-#[path = "../examples/corridor/report.rs"]
-mod report;
-
 use std::fs::File;
 use std::io::{Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use link::{Frames, Order, frame};
-use machine::{BEAMS, Machine, STEP};
-use report::Report;
 use robot::{Action, Observation};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use shm_config::message::{BEAMS_MAX, Message};
 use vlaps_tests::Set;
+
+use crate::link::{Frames, Order, frame};
+use crate::machine::{self, BEAMS, Machine, STEP};
+use crate::report::Report;
 
 fn action_of(order: Order) -> Action {
     Action {

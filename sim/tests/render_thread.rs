@@ -1,11 +1,8 @@
 //! Pictures on request show the requested tick, drawn outside the ticks, and the
 //! foresight equals what the world then does.
 
-mod drivers;
-
 use std::time::Duration;
 
-use drivers::Noise;
 use shm_config::Message;
 use shm_config::config::Config;
 use shm_config::message::{
@@ -20,6 +17,8 @@ use sim::render_thread::{
 };
 use sim::{World, WorldConfig};
 use vehicle::Action;
+
+use crate::drivers::{self, Noise};
 
 fn observed(world: &World, passed: f64) -> Box<Observation> {
     let mut observation = Box::default();

@@ -1,7 +1,5 @@
 //! Properties of every episode, with any driver.
 
-mod drivers;
-
 use std::num::NonZeroUsize;
 use std::time::Duration;
 
@@ -10,6 +8,8 @@ use sim::spawn::ObstacleKind;
 use sim::world::BodyKind;
 use sim::{AfterEnd, Batch, BatchConfig, World, WorldConfig, WorldError};
 use vehicle::Action;
+
+use crate::drivers;
 
 fn world() -> World {
     World::new(WorldConfig::default()).expect("the default world")

@@ -1,7 +1,5 @@
 //! Tests of the built program through its command line.
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -11,6 +9,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use shm_config::judged::{Judged, SUMMARY};
 use shm_config::run::{RunName, RunPaths};
 use tempfile::TempDir;
+
+use crate::common;
 
 /// A working folder, script children, and a run name of one test.
 struct Bench {

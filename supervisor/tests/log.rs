@@ -1,16 +1,15 @@
 //! Tests of logs and of the live table.
 
-mod common;
-
 use std::fs;
 use std::io::Write;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 
-use common::Rig;
 use runtime::LogFile;
 use supervisor::show::view::View;
 use supervisor::telemetry::tally::Tally;
+
+use crate::common::Rig;
 
 #[test]
 fn a_full_log_is_set_aside_and_the_writer_goes_on() {

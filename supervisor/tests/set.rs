@@ -1,8 +1,5 @@
 //! Tests of starts, deaths, restarts and stops, with children that are shell scripts.
 
-mod common;
-
-use common::{Rig, SECOND, await_state};
 use rustix::process::{Signal, WaitIdOptions};
 use shm_config::config::Keep;
 use shm_config::message::HealthState;
@@ -11,6 +8,8 @@ use supervisor::set::event::Event;
 use supervisor::set::launch::{Program, Resume};
 use supervisor::set::member::{Decision, Phase, READY_LIMIT_NS};
 use supervisor::set::stop::Stop;
+
+use crate::common::{self, Rig, SECOND, await_state};
 
 #[test]
 fn each_starts_when_the_one_before_is_ready() {

@@ -1,7 +1,5 @@
 //! Tests that pipes and devices in place of files block nothing.
 
-mod common;
-
 use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::path::PathBuf;
@@ -12,6 +10,8 @@ use rustix::fs::{Mode, OFlags, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
 use shm_config::run::RunPaths;
 use tempfile::TempDir;
+
+use crate::common;
 
 /// A working folder, children that do nothing, and a run name of one test.
 struct Bench {

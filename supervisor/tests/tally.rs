@@ -1,8 +1,5 @@
 //! Tests of sums: steps, episodes, restarts, histograms, digest and JSON.
 
-mod common;
-
-use common::Rig;
 use shm_config::config::Config;
 use shm_config::message::{
     Driver, Episode, Grant, Header, Health, HealthState, Outcome, Part, Reason, Step, Timing,
@@ -13,6 +10,8 @@ use supervisor::telemetry::episodes::command_digest;
 use supervisor::telemetry::quantiles::Quantiles;
 use supervisor::telemetry::step_tally::WEIGHTS_KEPT;
 use supervisor::telemetry::tally::Tally;
+
+use crate::common::Rig;
 
 fn step(producer: u32, sequence: u64, driver: Driver, reason: Reason) -> Step {
     let mut step = Step::default();

@@ -1,5 +1,5 @@
-//! Tests of the dependencies between crates, the homes of `unsafe` and of iceoryx2, and
-//! the size of files.
+//! Tests of the dependencies between crates, the homes of `unsafe` and of iceoryx2, the
+//! files of `tests/`, and the size of files.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -171,6 +171,37 @@ fn arrows_point_one_way() {
             );
         }
     }
+}
+
+/// Cargo compiles no file of `tests/` by itself where a manifest says `autotests = false`.
+#[test]
+fn every_file_of_tests_is_compiled() {
+    let mut merged = 0;
+    for member in members() {
+        let folder = root().join(&member);
+        let manifest = manifest(&folder.join("Cargo.toml"));
+        if manifest["package"].get("autotests") != Some(&toml::Value::Boolean(false)) {
+            continue;
+        }
+        merged += 1;
+        let programs = manifest["test"].as_array().expect("a list of programs");
+        let all = fs::read_to_string(folder.join("tests/all.rs")).expect("the program of modules");
+        for entry in fs::read_dir(folder.join("tests")).expect("the folder of tests") {
+            let file = entry.expect("an entry").file_name();
+            let Some(name) = file.to_str().and_then(|file| file.strip_suffix(".rs")) else {
+                continue;
+            };
+            let is_program = programs
+                .iter()
+                .any(|program| program["name"].as_str() == Some(name));
+            let is_module = all.lines().any(|line| line == format!("mod {name};"));
+            assert!(
+                is_program != is_module,
+                "{member}/tests/{name}.rs: name it in {member}/tests/all.rs"
+            );
+        }
+    }
+    assert!(merged > 5, "{merged} crates with one program of tests");
 }
 
 #[test]

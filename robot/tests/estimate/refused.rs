@@ -5,7 +5,7 @@ use robot::estimate::{EstimateError, Filter, HISTORY, Measurement, Noise, Settin
 use shm_config::Instant;
 use vehicle::pose;
 
-use crate::simulated::{IMU_NS, filter, start};
+use super::simulated::{IMU_NS, filter, start};
 
 pub fn imu(yaw_rate_radps: f64, accel_mps2: f64) -> Measurement {
     Measurement::Imu {
