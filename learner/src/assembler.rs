@@ -28,6 +28,9 @@ pub struct Labelling {
     pub mode: GateMode,
     /// How long a transition waits for its answer, ns.
     pub wait_ns: u64,
+    /// Ticks of an episode that the time limit ends, if that is no end of its value: the
+    /// successor, which nothing observed, is then unknown.
+    pub truncated_at: Option<u64>,
 }
 
 /// Counts of steps and of the transitions made from them.
@@ -110,6 +113,7 @@ struct Newest {
     world: u32,
     episode: u32,
     tick: u64,
+    first_tick: u64,
     begun_ns: u64,
 }
 
@@ -119,6 +123,8 @@ struct Seen {
     origin: Origin,
     episode: u32,
     tick: u64,
+    /// That of the first received step of its episode.
+    first_tick: u64,
     taken_ns: u64,
     /// When the first received step of its episode was taken, ns.
     begun_ns: u64,
@@ -210,7 +216,7 @@ impl Assembler {
         if let Some(mut last) = last {
             let then = seen
                 .as_ref()
-                .map_or(Then::Unknown, |seen| follows(&last, seen));
+                .map_or(Then::Unknown, |seen| self.successor(&last, seen));
             if let (Then::On, Some(seen)) = (then, &seen) {
                 last.transition.next = seen.transition.state;
             }
@@ -295,10 +301,12 @@ impl Assembler {
             return None;
         }
         let begun_ns = before.map_or(header.taken_ns, |newest| newest.begun_ns);
+        let first_tick = before.map_or(header.tick, |newest| newest.first_tick);
         self.newest = Some(Newest {
             world: origin.world,
             episode: header.episode,
             tick: header.tick,
+            first_tick,
             begun_ns,
         });
         let applied = pair(Action {
@@ -309,6 +317,7 @@ impl Assembler {
             origin,
             episode: header.episode,
             tick: header.tick,
+            first_tick,
             taken_ns: header.taken_ns,
             begun_ns,
             known: self.known_label(step),
@@ -351,6 +360,24 @@ impl Assembler {
                 | GateMode::Replay,
                 _,
             ) => None,
+        }
+    }
+
+    /// The successor of a step, given the step that was received next.
+    fn successor(&self, last: &Seen, next: &Seen) -> Then {
+        if last.origin != next.origin || next.tick != last.tick.wrapping_add(1) {
+            return Then::Unknown;
+        }
+        let ticks = next.tick.saturating_sub(last.first_tick);
+        let is_truncated = |limit| ticks >= limit;
+        if next.episode == last.episode {
+            Then::On
+        } else if next.episode != last.episode.wrapping_add(1)
+            || self.labelling.truncated_at.is_some_and(is_truncated)
+        {
+            Then::Unknown
+        } else {
+            Then::End
         }
     }
 
@@ -403,20 +430,6 @@ pub fn expert_command(step: &Step) -> Action {
             ..Action::BRAKE
         },
         Some(action) => action,
-    }
-}
-
-/// The successor of a step, given the step that was received next.
-fn follows(last: &Seen, next: &Seen) -> Then {
-    if last.origin != next.origin {
-        Then::Unknown
-    } else if next.episode == last.episode && next.tick == last.tick.wrapping_add(1) {
-        Then::On
-    } else if next.episode == last.episode.wrapping_add(1) && next.tick == last.tick.wrapping_add(1)
-    {
-        Then::End
-    } else {
-        Then::Unknown
     }
 }
 

@@ -22,9 +22,10 @@ pub const INPUTS: usize = INPUTS_WITH_MOTION;
 pub enum Then {
     /// Another step of the same episode.
     On,
-    /// The end of the episode; reaching the time limit counts as an end.
+    /// The end of the episode; reaching the time limit counts as an end if
+    /// `learner.truncate_as_terminate` says so.
     End,
-    /// Unknown, because the next step was lost.
+    /// Unknown, because the next step was lost, or the time limit ended the episode.
     Unknown,
 }
 

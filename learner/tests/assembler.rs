@@ -30,9 +30,14 @@ struct Bench {
 
 impl Bench {
     fn new(mode: GateMode) -> Bench {
+        Bench::truncated_at(mode, None)
+    }
+
+    fn truncated_at(mode: GateMode, truncated_at: Option<u64>) -> Bench {
         let labelling = Labelling {
             mode,
             wait_ns: WAIT * PERIOD_NS,
+            truncated_at,
         };
         Bench {
             assembler: Assembler::new(labelling, Counts::default()),
@@ -131,6 +136,25 @@ fn an_episode_ends_where_the_next_begins() {
     assert_eq!(thens, [Then::On, Then::End, Then::On, Then::Unknown]);
     let last = bench.of(1);
     assert_eq!(last.next, last.state, "nothing followed");
+}
+
+#[test]
+fn an_episode_that_the_time_limit_cuts_off_has_an_unknown_successor() {
+    // Episodes of two, three and one ticks.
+    let episodes = [0, 0, 1, 1, 1, 2, 3];
+    for (limit, ends) in [
+        (None, [Then::End, Then::End, Then::End]),
+        (Some(3), [Then::End, Then::Unknown, Then::End]),
+        (Some(2), [Then::Unknown, Then::Unknown, Then::End]),
+    ] {
+        let mut bench = Bench::truncated_at(GateMode::Expert, limit);
+        for (tick, episode) in episodes.into_iter().enumerate() {
+            bench.push(of_episode(step(tick as u64), episode));
+        }
+        bench.finish();
+        assert_eq!([1, 4, 5].map(|index| bench.of(index).then), ends);
+        assert_eq!(bench.of(3).then, Then::On);
+    }
 }
 
 #[test]

@@ -39,7 +39,11 @@ fn a_takeover_is_labelled_and_imitated_and_the_rest_is_not() {
 }
 
 fn assert_takeovers_teach(mode: GateMode) {
-    let labelling = Labelling { mode, wait_ns: 0 };
+    let labelling = Labelling {
+        mode,
+        wait_ns: 0,
+        truncated_at: None,
+    };
     let rows = [
         (Driver::Policy, Reason::Configured, Preference::Abstain),
         (Driver::Expert, Reason::Takeover, Preference::Expert),

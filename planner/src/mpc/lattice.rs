@@ -338,3 +338,6 @@ impl Ground<'_> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -79,6 +79,9 @@ pub struct Learner {
     pub critic_pedal: f64,
     /// For pvp: publish the running average of the actor, not the actor.
     pub averaged: bool,
+    /// For pvp: an episode that reaches `world.horizon_ticks` ends its value, as one that
+    /// arrives or leaves the road does; PVP4Real. With false the value goes on.
+    pub truncate_as_terminate: bool,
     /// The policy also takes how the bodies around the car move, in each of 60 sectors; the
     /// expert then knows it at imagined scenes, too.
     pub motion: bool,
@@ -114,6 +117,7 @@ impl Default for Learner {
             critic_steer: 1.0,
             critic_pedal: 1.0,
             averaged: false,
+            truncate_as_terminate: true,
             motion: false,
             capacity: 50_000,
             predicted_states: 4,
