@@ -1,11 +1,11 @@
 //! How long a plan takes:
-//! `cargo run --release -p planner --example plan_speed [METHOD [ITERATIONS]]`.
+//! `cargo run --release -p planner --example plan_speed [METHOD [ITERATIONS [SHRINK_AFTER]]]`.
 //!
 //! Plans for synthetic scenes (straight roads and bends of 15 to 60 m, up to
 //! four cars, barriers or rows of cones, 240 beams) and prints the whole plan,
 //! the grid within it, and the rest, in microseconds. METHOD is one of the
-//! configuration's, such as kinodynamic; without it, the paper's. ITERATIONS is
-//! `planner.iterations`; without it, the configuration's.
+//! configuration's, such as kinodynamic; without it, the paper's. ITERATIONS and
+//! SHRINK_AFTER are those of `planner`; without them, the configuration's.
 #![allow(clippy::disallowed_methods)]
 
 use std::hint::black_box;
@@ -24,8 +24,11 @@ const ROUNDS: usize = 20;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let method = std::env::args().nth(1).unwrap_or("rrt_star".into());
     let mut configuration = format!("planner.method = \"{method}\"\n");
-    if let Some(iterations) = std::env::args().nth(2) {
-        configuration += &format!("planner.iterations = {iterations}\n");
+    for (key, value) in ["iterations", "shrink_after"]
+        .iter()
+        .zip(std::env::args().skip(2))
+    {
+        configuration += &format!("planner.{key} = {value}\n");
     }
     let configuration: Config = shm_config::config::from_toml(&configuration, "arguments")?;
     let config = configuration.planner;
@@ -36,6 +39,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut whole_us = Vec::with_capacity(scenes.len() * ROUNDS);
     let (mut grid_us, mut search_us) = (whole_us.clone(), whole_us.clone());
     let (mut outcomes, mut nodes) = ([0; 3], 0);
+    let mut costs_m: Vec<f64> = Vec::with_capacity(scenes.len() * ROUNDS);
     for scene in scenes.iter().cycle().take(scenes.len() * ROUNDS) {
         let start = Instant::now();
         grid.fill(black_box(scene));
@@ -48,6 +52,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         search_us.push(us(filled, planned) - us(start, filled));
         outcomes[plan.outcome() as usize] += 1;
         nodes += u64::from(plan.nodes);
+        if plan.outcome() == PlanOutcome::Reached {
+            costs_m.push(plan.cost_m);
+        }
     }
     let plans = whole_us.len();
     let of = |outcome: PlanOutcome| 100.0 * f64::from(outcomes[outcome as usize]) / plans as f64;
@@ -59,6 +66,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         of(PlanOutcome::Partial),
         of(PlanOutcome::Blocked),
     );
+    let mean_m = costs_m.iter().sum::<f64>() / costs_m.len().max(1) as f64;
+    println!("cost of those that reach: {mean_m:.3} m on average");
     println!(
         "{:20} {:>8} {:>8} {:>8} {:>8}",
         "us", "p50", "p99", "p99.9", "max"

@@ -142,7 +142,7 @@ impl Informed {
         self.grid.level(goal_body.x);
         prepared();
         let region = Region::before(goal_body, &self.grid);
-        self.search.restart(&region, self.config.iterations);
+        self.search.restart(&region, &self.config);
         self.warm_nodes = 0;
         let sampler = Sampler::new(self.config.seed, &observation.header);
         widely(

@@ -1,3 +1,5 @@
+use core::f64::consts::PI;
+
 use shm_config::settings::planner::NODES_MAX;
 #[cfg(not(feature = "std"))]
 use vehicle::Float as _;
@@ -17,6 +19,8 @@ const SAME_M: f64 = 1e-6;
 #[derive(Debug)]
 pub struct Search {
     pub(crate) tree: Tree,
+    /// The radius of `n` nodes is this times the square root of `ln n / n`, m.
+    gamma_m: f64,
     children: heapless::Vec<u16, NODES_MAX>,
 }
 
@@ -25,18 +29,34 @@ impl Search {
     pub const fn empty() -> Self {
         Self {
             tree: Tree::new(),
+            gamma_m: 0.0,
             children: heapless::Vec::new(),
         }
     }
 
     /// Only the start is left; the other nodes will be in the region.
-    pub(crate) fn restart(&mut self, region: &Region, iterations: u32) {
+    pub(crate) fn restart(&mut self, region: &Region, config: &PlannerConfig) {
         let spread = Spread {
             low: Point::new(0.0, region.right_m),
             high: Point::new(region.x_max_m, region.left_m),
-            nodes: iterations,
+            nodes: config.iterations,
         };
         self.tree.restart(Point::origin(), &spread);
+        // Paths approach the shortest one if this is more than theorem 38 of Karaman and
+        // Frazzoli asks for.
+        let area = (region.left_m - region.right_m) * region.x_max_m;
+        let asked_m = 2.0 * (1.5 * area.max(0.0) / PI).sqrt();
+        let whole_m = config.rewire_radius_m / thinning(config.shrink_after as usize);
+        self.gamma_m = asked_m.max(whole_m);
+    }
+
+    /// In which parents are chosen and edges rewired, m.
+    fn radius_m(&self, config: &PlannerConfig) -> f64 {
+        let nodes = self.tree.len();
+        match nodes <= config.shrink_after as usize {
+            true => config.rewire_radius_m,
+            false => config.rewire_radius_m.min(self.gamma_m * thinning(nodes)),
+        }
     }
 
     /// Grows a new tree from the origin and always spends the whole budget.
@@ -52,7 +72,7 @@ impl Search {
         mut sampler: Sampler,
     ) {
         let region = Region::before(goal_body, grid);
-        self.restart(&region, config.iterations);
+        self.restart(&region, config);
         widely(
             #[inline(always)]
             || {
@@ -106,10 +126,11 @@ impl Search {
             // exact sums.
             length_m: (point_body - from_body).norm_squared().sqrt(),
         };
+        let radius_m = self.radius_m(config);
         self.tree.measure(point_body);
-        let edge = self.choose_parent(grid, config, point_body, nearest);
+        let edge = self.choose_parent(grid, radius_m, point_body, nearest);
         let index = self.tree.push(point_body, edge)?;
-        self.rewire(grid, config, index);
+        self.rewire(grid, radius_m, index);
         Some(index)
     }
 
@@ -120,12 +141,12 @@ impl Search {
     fn choose_parent(
         &mut self,
         grid: &Grid,
-        config: &PlannerConfig,
+        radius_m: f64,
         point_body: Point,
         nearest: Edge,
     ) -> Edge {
         let limit_m = self.tree.cost_m(nearest.parent) + nearest.length_m;
-        let limits_m = (limit_m, config.rewire_radius_m);
+        let limits_m = (limit_m, radius_m);
         let mut blocked = None;
         while let Some(via) = self.tree.cheapest_via(point_body, limits_m, blocked) {
             let parent = via.index as usize;
@@ -144,12 +165,12 @@ impl Search {
     /// Makes the new node the parent of each near node that it makes cheaper, in the
     /// order they were made.
     #[inline(always)]
-    fn rewire(&mut self, grid: &Grid, config: &PlannerConfig, index: usize) {
+    fn rewire(&mut self, grid: &Grid, radius_m: f64, index: usize) {
         let Self { tree, children, .. } = self;
         let point_body = tree.point(index);
         let cost_m = tree.cost_m(index);
         children.clear();
-        let reach = Reach::of_children(cost_m, config.rewire_radius_m);
+        let reach = Reach::of_children(cost_m, radius_m);
         tree.each_within(point_body, reach, |found| {
             if cost_m + found.square.sqrt() < found.cost_m {
                 let _ = children.push(found.index);
@@ -189,6 +210,12 @@ impl Search {
             });
         best.map(|best| usize::from(best.index))
     }
+}
+
+/// By how much the distances between nodes shrink as their number grows.
+fn thinning(nodes: usize) -> f64 {
+    let nodes = nodes as f64;
+    (nodes.ln() / nodes).sqrt()
 }
 
 /// Calls a function with the widest vectors of this machine, as far as all that it calls is

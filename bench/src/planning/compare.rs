@@ -6,6 +6,7 @@ use planner::{Grid, Planner, RrtStar};
 use serde::Serialize;
 use shm_config::config::{Config, Planner as PlannerConfig};
 use shm_config::message::{Plan, PlanOutcome};
+use shm_config::settings::planner::NODES_MAX;
 
 use super::met;
 use super::ompl::{OmplProcess, Program, Task};
@@ -188,6 +189,8 @@ impl<'a> SideBySide<'a> {
         let config = PlannerConfig {
             iterations,
             seed,
+            // OMPL's radius shrinks by other numbers; here both keep it whole.
+            shrink_after: NODES_MAX as u32,
             ..PlannerConfig::default()
         };
         let mut planner = Planner::new(&Config {

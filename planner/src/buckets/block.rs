@@ -7,6 +7,8 @@ use super::lanes::{LANES, more};
 
 /// Nodes of one bucket. Lanes after the last node are infinitely far away.
 #[derive(Debug, Clone, Copy)]
+// A vector never lies in two lines of the cache.
+#[repr(align(32))]
 pub(super) struct Block {
     pub(super) x_m: [f64; LANES],
     pub(super) y_m: [f64; LANES],
@@ -33,6 +35,7 @@ impl Block {
 
 /// The bounds of some buckets: of the places of their nodes, and of the costs.
 #[derive(Debug, Clone, Copy)]
+#[repr(align(32))]
 pub(super) struct Group {
     pub(super) low_x_m: [f64; LANES],
     pub(super) high_x_m: [f64; LANES],

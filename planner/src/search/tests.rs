@@ -36,7 +36,12 @@ fn cost_m(tree: &[Plain], index: usize) -> f64 {
 }
 
 /// One iteration that looks at all nodes in the order they were made.
-fn extend_plainly(tree: &mut Vec<Plain>, grid: &Grid, config: &PlannerConfig, sample: Point) {
+fn extend_plainly(
+    tree: &mut Vec<Plain>,
+    grid: &Grid,
+    (config, area): (&PlannerConfig, f64),
+    sample: Point,
+) {
     let far = |index: &usize| square(tree[*index].point, sample);
     let nearest = (0..tree.len())
         .min_by(|a, b| far(a).total_cmp(&far(b)))
@@ -52,8 +57,18 @@ fn extend_plainly(tree: &mut Vec<Plain>, grid: &Grid, config: &PlannerConfig, sa
     if !grid.is_segment_free(from, point) {
         return;
     }
+    let thin = |nodes: f64| (nodes.ln() / nodes).sqrt();
+    let radius_m = config.rewire_radius_m;
+    let radius_m = match tree.len() > config.shrink_after as usize {
+        true => radius_m.min(
+            thin(tree.len() as f64)
+                * (radius_m / thin(f64::from(config.shrink_after)))
+                    .max(2.0 * (1.5 * area / std::f64::consts::PI).sqrt()),
+        ),
+        false => radius_m,
+    };
     let near: Vec<usize> = (0..tree.len())
-        .filter(|&index| square(tree[index].point, point) <= config.rewire_radius_m.powi(2))
+        .filter(|&index| square(tree[index].point, point) <= radius_m.powi(2))
         .collect();
     let via_m = |index: usize| cost_m(tree, index) + distance_m(tree[index].point, point);
     let parent = near
@@ -101,23 +116,30 @@ proptest! {
     fn a_tree_on_a_lattice_is_that_of_a_scan(
         samples in prop::collection::vec((0i32..40, -8i32..=8), 1..250),
         returns in prop::collection::vec((0usize..64, 1.0f32..20.0), 0..12),
-        (step_m, rewire_radius_m) in (
+        (step_m, rewire_radius_m, shrink_after) in (
             prop::sample::select(vec![0.5, 1.0, 2.0, 40.0]),
             prop::sample::select(vec![0.5, 1.5, 3.0, 40.0]),
+            prop::sample::select(vec![3, 30, 200]),
         ),
-        budget in 1u32..3000,
+        iterations in 1u32..3000,
     ) {
-        let config = PlannerConfig { step_m, rewire_radius_m, ..PlannerConfig::default() };
+        let config = PlannerConfig {
+            step_m,
+            rewire_radius_m,
+            shrink_after,
+            iterations,
+            ..PlannerConfig::default()
+        };
         let mut grid = Grid::new(&config);
         grid.fill(&scene(&returns));
         let mut search = Box::new(Search::empty());
         let region = Region { x_max_m: 15.0, right_m: -4.0, left_m: 4.0 };
-        search.restart(&region, budget);
+        search.restart(&region, &config);
         let mut plain = vec![Plain { point: Point::origin(), parent: 0, edge_m: 0.0 }];
         for (x, y) in samples {
             let sample = Point::new(f64::from(x) * 0.5, f64::from(y) * 0.5);
             search.extend(&grid, &config, sample);
-            extend_plainly(&mut plain, &grid, &config, sample);
+            extend_plainly(&mut plain, &grid, (&config, 15.0 * 8.0), sample);
         }
         prop_assert_eq!(search.tree.len(), plain.len());
         for (index, node) in search.tree.nodes().enumerate() {

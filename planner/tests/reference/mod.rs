@@ -246,7 +246,8 @@ pub fn slow_tree(
         if !grid.is_free(from, point) {
             continue;
         }
-        let square_limit = config.rewire_radius_m * config.rewire_radius_m;
+        let radius_m = radius_m(config, tree.len(), goal.x * (left_m - right_m));
+        let square_limit = radius_m * radius_m;
         let near: Vec<usize> = (0..tree.len())
             .filter(|&index| {
                 let edge = tree[index].point - point;
@@ -279,6 +280,19 @@ pub fn slow_tree(
     tree
 }
 
+/// The radius of `planner.rewire_radius_m` for a tree of some nodes, in a region of some m².
+fn radius_m(config: &PlannerConfig, nodes: usize, area: f64) -> f64 {
+    let thin = |nodes: f64| (nodes.ln() / nodes).sqrt();
+    let whole_m = config.rewire_radius_m / thin(f64::from(config.shrink_after));
+    let asked_m = 2.0 * (1.5 * area / std::f64::consts::PI).sqrt();
+    match nodes > config.shrink_after as usize {
+        true => config
+            .rewire_radius_m
+            .min(asked_m.max(whole_m) * thin(nodes as f64)),
+        false => config.rewire_radius_m,
+    }
+}
+
 /// The documented stream: SplitMix64 over seed, episode and tick.
 fn stream(seed: u64, observation: &Observation) -> Xoshiro256PlusPlus {
     let split = |number| SplitMix64::seed_from_u64(number).next_u64();
@@ -297,6 +311,7 @@ pub fn small_config() -> impl Strategy<Value = PlannerConfig> {
             prop::sample::select(vec![0.0, 0.0, 0.2]),
             3.0..12.0,
             any::<u64>(),
+            prop::sample::select(vec![3, 40, 200]),
         ),
     )
         .prop_map(
@@ -314,6 +329,7 @@ pub fn small_config() -> impl Strategy<Value = PlannerConfig> {
                     goal_distance_m: rest.1,
                     partial_min_m: 1.0,
                     seed: rest.2,
+                    shrink_after: rest.3,
                     ..PlannerConfig::default()
                 }
             },

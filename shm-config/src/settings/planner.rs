@@ -57,6 +57,11 @@ pub struct Planner {
     pub step_m: f64,
     /// Radius in which parents are chosen and edges rewired, m: `r*`.
     pub rewire_radius_m: f64,
+    /// Nodes up to which that radius stays whole; with more it shrinks as the square root of
+    /// ln n / n, so that the time of a plan grows less than with the square of its
+    /// iterations (Karaman and Frazzoli, 2011, doi:10.1177/0278364911406761). The paper's
+    /// radius is whole in all of its 200 iterations.
+    pub shrink_after: u32,
     /// Radius of the goal ball, m: `r_goal`.
     pub goal_radius_m: f64,
     /// Speed at each waypoint, m/s: `v_ref`.
@@ -97,6 +102,7 @@ impl Default for Planner {
             iterations: 200,
             step_m: 2.0,
             rewire_radius_m: 3.0,
+            shrink_after: 200,
             goal_radius_m: 1.0,
             speed_mps: 5.0,
             goal_bias: 0.0,
@@ -153,6 +159,11 @@ impl Planner {
         for (key, value, range) in rows {
             in_range(key, value, range)?;
         }
+        in_range(
+            "planner.shrink_after",
+            self.shrink_after,
+            3..=NODES_MAX as u32,
+        )?;
         in_range(
             "planner.iterations",
             self.iterations,
