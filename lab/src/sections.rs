@@ -22,7 +22,7 @@ pub const DECISIVE: [&str; 15] = [
 
 /// Keys of these sections that say only how long this machine waits for a process: a slower
 /// machine may wait longer.
-pub const WAITS: [&str; 1] = ["limits.lockstep_wait_s"];
+pub const WAITS: [&str; 2] = ["limits.lockstep_wait_s", "limits.learner_wait_s"];
 
 /// Keys of the section `run` that decide which episodes a training drives. `run.shuffle` is
 /// apart: a training that continues shifts it.

@@ -28,8 +28,8 @@ pub struct Labelling {
     pub mode: GateMode,
     /// How long a transition waits for its answer, ns.
     pub wait_ns: u64,
-    /// Ticks of an episode that the time limit ends, if that is no end of its value: the
-    /// successor, which nothing observed, is then unknown.
+    /// Ticks of an episode that the time limit ends, if that is no end of its value: its last
+    /// step has a successor that nothing observed.
     pub truncated_at: Option<u64>,
 }
 
@@ -113,7 +113,7 @@ struct Newest {
     world: u32,
     episode: u32,
     tick: u64,
-    first_tick: u64,
+    first_tick: Option<u64>,
     begun_ns: u64,
 }
 
@@ -123,8 +123,8 @@ struct Seen {
     origin: Origin,
     episode: u32,
     tick: u64,
-    /// That of the first received step of its episode.
-    first_tick: u64,
+    /// That of the first step of its episode; `None` if that was missed.
+    first_tick: Option<u64>,
     taken_ns: u64,
     /// When the first received step of its episode was taken, ns.
     begun_ns: u64,
@@ -301,7 +301,14 @@ impl Assembler {
             return None;
         }
         let begun_ns = before.map_or(header.taken_ns, |newest| newest.begun_ns);
-        let first_tick = before.map_or(header.tick, |newest| newest.first_tick);
+        // An episode begins right after another one, or at the beginning of the run.
+        let is_first = self
+            .newest
+            .map_or(header.tick == 0, |newest| newest.tick + 1 == header.tick);
+        let first_tick = match before {
+            Some(newest) => newest.first_tick,
+            None => is_first.then_some(header.tick),
+        };
         self.newest = Some(Newest {
             world: origin.world,
             episode: header.episode,
@@ -368,8 +375,11 @@ impl Assembler {
         if last.origin != next.origin || next.tick != last.tick.wrapping_add(1) {
             return Then::Unknown;
         }
-        let ticks = next.tick.saturating_sub(last.first_tick);
-        let is_truncated = |limit| ticks >= limit;
+        // An episode of unknown length may have reached the limit.
+        let is_truncated = |limit| {
+            last.first_tick
+                .is_none_or(|first| next.tick.saturating_sub(first) >= limit)
+        };
         if next.episode == last.episode {
             Then::On
         } else if next.episode != last.episode.wrapping_add(1)

@@ -23,7 +23,7 @@ pub enum Then {
     /// Another step of the same episode.
     On,
     /// The end of the episode; reaching the time limit counts as an end if
-    /// `learner.truncate_as_terminate` says so.
+    /// `learner.truncate_as_terminate` is true.
     End,
     /// Unknown, because the next step was lost, or the time limit ended the episode.
     Unknown,

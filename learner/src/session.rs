@@ -96,8 +96,7 @@ impl Session {
         let labelling = Labelling {
             mode: config.gate.mode,
             wait_ns: (settings.label_wait_s * 1e9) as u64,
-            truncated_at: (!settings.truncate_as_terminate)
-                .then_some(u64::from(config.world.horizon_ticks)),
+            truncated_at: (!settings.truncate_as_terminate).then(|| config.horizon_ticks()),
         };
         let mark = mark.unwrap_or_default().reached(&metrics.counts());
         let mut assembler = Assembler::new(labelling, mark.counts);

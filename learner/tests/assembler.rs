@@ -158,6 +158,22 @@ fn an_episode_that_the_time_limit_cuts_off_has_an_unknown_successor() {
 }
 
 #[test]
+fn an_episode_whose_beginning_was_missed_may_have_reached_the_time_limit() {
+    // The first steps of the run, and of the second episode, are missing.
+    let received = [(3, 0), (4, 0), (7, 1), (8, 1), (9, 2), (10, 3)];
+    for (limit, end) in [(None, Then::End), (Some(100), Then::Unknown)] {
+        let mut bench = Bench::truncated_at(GateMode::Expert, limit);
+        for (tick, episode) in received {
+            bench.push(of_episode(step(tick), episode));
+        }
+        bench.finish();
+        assert_eq!(bench.of(1).then, Then::Unknown, "steps were lost");
+        assert_eq!(bench.of(3).then, end);
+        assert_eq!(bench.of(4).then, Then::End, "received as a whole");
+    }
+}
+
+#[test]
 fn after_a_missed_episode_the_successor_is_unknown() {
     let mut bench = Bench::new(GateMode::Expert);
     bench.push(step(0));

@@ -8,7 +8,7 @@ use shm_config::config::{Algorithm, Config};
 use shm_config::message::Step;
 use tempfile::TempDir;
 
-use crate::steps::{BLOCK, config, step, vetoed};
+use crate::steps::{BLOCK, config, of_episode, step, vetoed};
 
 const ALGORITHMS: [Algorithm; 5] = [
     Algorithm::Pvp,
@@ -262,6 +262,24 @@ fn blocks_end_on_the_grid_of_driven_steps_although_steps_were_missed() {
     let lost = column("lost");
     assert!(lost[0] == 0 && lost[1] >= 2 * BLOCK - 3, "{lost:?}");
     assert_eq!(session.driven(), 5 * BLOCK);
+}
+
+#[test]
+fn the_time_limit_ends_the_value_or_does_not() {
+    // The built-in world's ticks are two of the run's.
+    for (truncate_as_terminate, cut) in [(true, 0), (false, 2)] {
+        let mut config = config(Algorithm::Pvp);
+        config.learner.truncate_as_terminate = truncate_as_terminate;
+        (config.world.horizon_ticks, config.run.rate_hz) = (3, 20.0);
+        let folder = TempDir::new().expect("a folder");
+        let mut session = open(&config, folder.path());
+        // Episodes of 6, 5 and 6 ticks.
+        for tick in 0..18 {
+            let episode = [6, 11, 17].iter().filter(|end| tick >= **end).count();
+            session.push(&of_episode(vetoed(step(tick)), episode as u32));
+        }
+        assert_eq!(session.counts().cut, cut);
+    }
 }
 
 #[test]

@@ -42,8 +42,9 @@ impl Search {
             nodes: config.iterations,
         };
         self.tree.restart(Point::origin(), &spread);
-        // Paths approach the shortest one if this is more than theorem 38 of Karaman and
-        // Frazzoli asks for.
+        // 2 (1 + 1/d)^(1/d) (A / zeta_d)^(1/d) for d = 2: the square root of 2 times the bound of
+        // theorem 38 of Karaman and Frazzoli. Solovey et al. (2020, arXiv:1909.09688) show a gap
+        // in its proof; with 4,096 nodes at most, no limit is reached.
         let area = (region.left_m - region.right_m) * region.x_max_m;
         let asked_m = 2.0 * (1.5 * area.max(0.0) / PI).sqrt();
         let whole_m = config.rewire_radius_m / thinning(config.shrink_after as usize);
@@ -212,7 +213,7 @@ impl Search {
     }
 }
 
-/// By how much the distances between nodes shrink as their number grows.
+/// The factor of the radius: the square root of ln n / n.
 fn thinning(nodes: usize) -> f64 {
     let nodes = nodes as f64;
     (nodes.ln() / nodes).sqrt()

@@ -1,4 +1,5 @@
-//! The integration tests of this crate, one program: each program is linked anew.
+//! The integration tests of this crate, in one program, since each program links all
+//! libraries again. `cargo test -p planner --test all NAME::` runs those of one file.
 
 mod arc;
 mod course;

@@ -55,7 +55,10 @@ fn assert_keeps_all(world: &str, options: &[&str]) {
     assert!(rows.len() >= 26, "{} rows: {told}", rows.len());
     for row in rows {
         let is_held = row["held"] == true;
-        assert!(is_held || depends_on_load(row), "{world}: {row}: {told}");
+        assert!(
+            is_held || depends_on_load(row),
+            "{world} {options:?}: {row}: {told}"
+        );
         assert!(
             row["figure"]
                 .as_str()
@@ -63,7 +66,11 @@ fn assert_keeps_all(world: &str, options: &[&str]) {
         );
     }
     let code = i32::from(!broken(&report).is_empty());
-    assert_eq!(output.status.code(), Some(code), "{world}: {told}");
+    assert_eq!(
+        output.status.code(),
+        Some(code),
+        "{world} {options:?}: {told}"
+    );
     let resumed = rows.iter().find(|row| {
         let promise = row["promise"].as_str();
         promise.is_some_and(|promise| promise.starts_with("is restarted"))
@@ -110,7 +117,7 @@ fn sound_worlds_keep_every_promise() {
     });
 }
 
-/// All at once, too.
+/// Here all are started at once, too.
 #[test]
 fn flawed_worlds_are_found() {
     let flaws = [

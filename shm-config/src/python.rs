@@ -6,7 +6,6 @@
 
 use std::fmt::Write;
 
-use crate::config::Learner;
 use crate::histogram::{BUCKETS, HALF_SHIFT, UNIT_SHIFT};
 use crate::layout::Layout;
 use crate::message::{
@@ -134,7 +133,6 @@ fn limits(out: &mut String) {
     line("HISTOGRAM_HALF_SHIFT", HALF_SHIFT.to_string());
     line("HISTOGRAM_BUCKETS", BUCKETS.to_string());
     line("LATE_TICKS", LATE_TICKS.to_string());
-    line("LEARNER_WAIT_S", Learner::LOCKSTEP_WAIT_S.to_string());
     line("FRAME_BYTES_MAX", FRAME_BYTES_MAX.to_string());
     line("FRAME_SIDE_MIN_PX", FRAME_SIDES_PX.start().to_string());
     line("FRAME_SIDE_MAX_PX", FRAME_SIDES_PX.end().to_string());

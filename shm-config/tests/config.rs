@@ -35,6 +35,10 @@ fn an_empty_file_is_the_papers_experiment() {
         ),
         (3.0, 1.0, 5.0)
     );
+    assert!(
+        planner.shrink_after >= planner.iterations,
+        "the paper's radius is not reduced"
+    );
     let pd = config.controller;
     assert_eq!(
         (pd.steer_kp, pd.steer_kd, pd.pedal_kp, pd.pedal_kd),

@@ -85,7 +85,7 @@ class Session:
         # Where the controller may be waiting for the learner, that comes on top.
         wait_s = config["limits"]["lockstep_wait_s"]
         if config["learner"]["enabled"]:
-            wait_s += layout.LEARNER_WAIT_S
+            wait_s += config["limits"]["learner_wait_s"]
         self.wait_ns = int(wait_s * 1e9)
         self.observation = layout.Observation()
         self.command = None

@@ -1,4 +1,5 @@
-//! The integration tests of this crate, one program: each program is linked anew.
+//! The integration tests of this crate, in one program, since each program links all
+//! libraries again. `cargo test -p supervisor --test all NAME::` runs those of one file.
 
 mod command_line;
 mod common;

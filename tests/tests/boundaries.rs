@@ -197,7 +197,7 @@ fn every_file_of_tests_is_compiled() {
             let is_module = all.lines().any(|line| line == format!("mod {name};"));
             assert!(
                 is_program != is_module,
-                "{member}/tests/{name}.rs: name it in {member}/tests/all.rs"
+                "{member}/tests/{name}.rs: either a module of {member}/tests/all.rs or a program of its manifest"
             );
         }
     }

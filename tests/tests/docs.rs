@@ -268,9 +268,31 @@ impl Facts {
             .map(|part| format!("no source has the name {part}"))
     }
 
+    /// The test programs of a package whose manifest lists them all.
+    fn programs(&self, package: &str) -> Option<Vec<String>> {
+        let path = self.root.join(package).join("Cargo.toml");
+        let manifest: toml::Table = fs::read_to_string(path).ok()?.parse().ok()?;
+        if manifest["package"].get("autotests")? != &toml::Value::Boolean(false) {
+            return None;
+        }
+        let programs = manifest["test"].as_array()?.iter();
+        let names = programs.filter_map(|program| program["name"].as_str());
+        Some(names.map(String::from).collect())
+    }
+
     /// Packages and test targets of a call of cargo.
     fn cargo(&self, text: &str) -> Option<String> {
         let words: Vec<&str> = text.split_whitespace().collect();
+        let after = |option: &str| {
+            let mut words = words.iter().skip_while(|word| **word != option);
+            words.nth(1).copied()
+        };
+        if let (Some(package), Some(test)) = (after("-p"), after("--test"))
+            && let Some(programs) = self.programs(package)
+            && !programs.contains(&test.to_string())
+        {
+            return Some(format!("{package} has no test program {test}"));
+        }
         words.windows(2).find_map(|pair| {
             let [option, value] = pair else { return None };
             let is_there = match *option {
@@ -374,6 +396,7 @@ fn the_checks_find_what_is_wrong() {
         "`eval --episodes N`, `--lockstep`, `vlaps.toml`, `gate.period_s=5`",
         "`vehicle/src/lib.rs`, `Observation::features`, `late_ticks`",
         "`cargo test -p vehicle`",
+        "`cargo test -p planner --test all tree::`",
         "```sh\n./vlaps eval --driver expert \\\n    --episodes 10 | tee x\n```",
     ] {
         assert_eq!(facts.problems("README.md", right), [""; 0], "{right}");
@@ -391,6 +414,7 @@ fn the_checks_find_what_is_wrong() {
         "`no_such_key_anywhere`",
         "`Observation::wings_of_it`",
         "`cargo test -p wings`",
+        "`cargo test -p planner --test tree`",
         "```sh\n./vlaps eval --driver expert \\\n    --wings\n```",
     ] {
         let problems = facts.problems("README.md", wrong);

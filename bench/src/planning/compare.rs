@@ -189,7 +189,7 @@ impl<'a> SideBySide<'a> {
         let config = PlannerConfig {
             iterations,
             seed,
-            // OMPL's radius shrinks by other numbers; here both keep it whole.
+            // OMPL's radius shrinks with other constants; here both keep 3 m.
             shrink_after: NODES_MAX as u32,
             ..PlannerConfig::default()
         };

@@ -68,7 +68,7 @@ impl PolicySwap {
                 steps: None,
                 own_steps: 0,
                 block_steps: u64::from(learner.block_steps),
-                wait_ns: (shm_config::config::Learner::LOCKSTEP_WAIT_S * 1e9) as u64,
+                wait_ns: (member.config.limits.learner_wait_s * 1e9) as u64,
                 is_silent: false,
                 // One that was killed in a block's updates makes them first, and the steps
                 // that were driven meanwhile would have no policy.

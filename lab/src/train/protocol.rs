@@ -240,7 +240,10 @@ fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
         "gate.dwell_s=0".into(),
         "gate.record=false".into(),
         // Processes that wait for the controller thereby wait for the learner, too.
-        "limits.lockstep_wait_s=150.0".into(),
+        "limits.lockstep_wait_s=600.0".into(),
+        // Steps that are driven meanwhile would not be learnt from: with an eighth of a
+        // core a block takes more than two minutes.
+        "limits.learner_wait_s=480.0".into(),
         // In lockstep a silent process is slow, not dead: the learner may get no processor
         // time on a busy machine.
         "supervisor.silence_s=60.0".into(),

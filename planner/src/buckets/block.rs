@@ -7,7 +7,7 @@ use super::lanes::{LANES, more};
 
 /// Nodes of one bucket. Lanes after the last node are infinitely far away.
 #[derive(Debug, Clone, Copy)]
-// A vector never lies in two lines of the cache.
+// A vector of 256 bits never lies in two lines of the cache.
 #[repr(align(32))]
 pub(super) struct Block {
     pub(super) x_m: [f64; LANES],
@@ -35,6 +35,7 @@ impl Block {
 
 /// The bounds of some buckets: of the places of their nodes, and of the costs.
 #[derive(Debug, Clone, Copy)]
+// As a block.
 #[repr(align(32))]
 pub(super) struct Group {
     pub(super) low_x_m: [f64; LANES],

@@ -113,7 +113,7 @@ impl Field {
         }
     }
 
-    pub(crate) fn mark(&mut self, place: Place) {
+    fn mark(&mut self, place: Place) {
         let row = |along_m: f64| (along_m - BEGIN_M) / ALONG_M;
         let first = row(place.along_m - FAR_M).max(0.0) as usize;
         let end = (row(place.along_m + FAR_M).max(0.0) as usize + 1).min(ROWS);

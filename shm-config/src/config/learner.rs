@@ -80,7 +80,8 @@ pub struct Learner {
     /// For pvp: publish the running average of the actor, not the actor.
     pub averaged: bool,
     /// For pvp: an episode that reaches `world.horizon_ticks` ends its value, as one that
-    /// arrives or leaves the road does; PVP4Real. With false the value goes on.
+    /// arrives or leaves the road does; PVP4Real. With false the critics learn nothing from
+    /// its last step. Transitions that are stored already stay as they are.
     pub truncate_as_terminate: bool,
     /// The policy also takes how the bodies around the car move, in each of 60 sectors; the
     /// expert then knows it at imagined scenes, too.
@@ -128,11 +129,6 @@ impl Default for Learner {
 }
 
 impl Learner {
-    /// In lockstep: how long the controller waits for the learner, s on the machine's
-    /// clock; a silent learner is then not waited for until it publishes again. A block
-    /// of updates takes seconds, on a busy machine ten times that.
-    pub const LOCKSTEP_WAIT_S: f64 = 120.0;
-
     /// Whether the run trains a policy that is told how bodies move.
     pub fn trains_motion(&self) -> bool {
         self.enabled && self.motion

@@ -193,7 +193,7 @@ impl Config {
     /// learner.
     pub fn world_wait_ns(&self) -> u64 {
         let learner_s = match self.learner.enabled {
-            true => Learner::LOCKSTEP_WAIT_S,
+            true => self.limits.learner_wait_s,
             false => 0.0,
         };
         self.peer_wait_ns() + (learner_s * 1e9) as u64

@@ -49,6 +49,17 @@ impl Config {
         ((self.world_rate_hz() / self.run.rate_hz).round() as u64).max(1)
     }
 
+    /// Ticks of the run in an episode that ends at `world.horizon_ticks`.
+    pub fn horizon_ticks(&self) -> u64 {
+        let is_built_in =
+            self.world.simulator == Simulator::BuiltIn && self.programs.world.is_empty();
+        let each = match is_built_in {
+            true => self.run.rate_hz / DECISION_HZ,
+            false => 1.0,
+        };
+        (f64::from(self.world.horizon_ticks) * each).round() as u64
+    }
+
     /// Ticks of the run from one plan to the next.
     pub fn plan_ticks(&self) -> u64 {
         ((self.run.rate_hz / self.planner_rate_hz()).round() as u64).max(1)

@@ -136,6 +136,10 @@ pub struct Limits {
     /// In lockstep: how long a process waits for another before it continues without
     /// it, s on the machine's clock.
     pub lockstep_wait_s: f64,
+    /// In lockstep: how long the controller waits for the learner, s on the machine's
+    /// clock; a silent learner is then not waited for until it publishes again. A block
+    /// of updates takes seconds, on a busy machine ten times that.
+    pub learner_wait_s: f64,
 }
 
 impl Default for Limits {
@@ -151,6 +155,7 @@ impl Default for Limits {
             plan_wait: 0.5,
             observation_wait: 0.5,
             lockstep_wait_s: 1.0,
+            learner_wait_s: 120.0,
         }
     }
 }
@@ -181,7 +186,8 @@ impl Limits {
         }
         in_range("limits.plan_wait", self.plan_wait, 0.0..=0.8)?;
         in_range("limits.observation_wait", self.observation_wait, 0.05..=0.9)?;
-        in_range("limits.lockstep_wait_s", self.lockstep_wait_s, 0.01..=600.0)
+        in_range("limits.lockstep_wait_s", self.lockstep_wait_s, 0.01..=600.0)?;
+        in_range("limits.learner_wait_s", self.learner_wait_s, 0.01..=600.0)
     }
 
     /// The limit in ns.

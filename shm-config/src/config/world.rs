@@ -68,7 +68,7 @@ pub struct World {
     /// an obstacle (0 to 1), speed of the traffic (20 to 40 km/h), share of lost returns (0 to
     /// 0.05) and deviation of ranges (0 to 0.1 m), drawn from its seed.
     pub varied: bool,
-    /// Ticks after which an episode ends.
+    /// Ticks after which an episode ends. Those of the built-in world take 0.1 s at each rate.
     pub horizon_ticks: u32,
 }
 

@@ -8,7 +8,7 @@ use super::{OutOfRange, in_range};
 pub const CELLS_MAX: usize = 2048;
 /// Largest inflation, cells; a row of the disc then spans at most three words.
 pub const DISC_CELLS_MAX: usize = 60;
-/// Most nodes of a tree. The time of a search grows with their square.
+/// Most nodes of a tree.
 pub const NODES_MAX: usize = 4096;
 
 const _: () = assert!(NODES_MAX < u16::MAX as usize, "a node's index is a u16");
@@ -57,10 +57,11 @@ pub struct Planner {
     pub step_m: f64,
     /// Radius in which parents are chosen and edges rewired, m: `r*`.
     pub rewire_radius_m: f64,
-    /// Nodes up to which that radius stays whole; with more it shrinks as the square root of
-    /// ln n / n, so that the time of a plan grows less than with the square of its
-    /// iterations (Karaman and Frazzoli, 2011, doi:10.1177/0278364911406761). The paper's
-    /// radius is whole in all of its 200 iterations.
+    /// For rrt-star and informed: with more nodes than this the radius is at most `gamma`
+    /// times the square root of ln n / n, which is `rewire_radius_m` or more at this number.
+    /// The time of a plan then grows less than with the square of its iterations (Karaman and
+    /// Frazzoli, 2011, doi:10.1177/0278364911406761). The paper's radius is not reduced in
+    /// its 200 iterations.
     pub shrink_after: u32,
     /// Radius of the goal ball, m: `r_goal`.
     pub goal_radius_m: f64,
@@ -159,6 +160,7 @@ impl Planner {
         for (key, value, range) in rows {
             in_range(key, value, range)?;
         }
+        // The square root falls from the third node on.
         in_range(
             "planner.shrink_after",
             self.shrink_after,

@@ -160,7 +160,7 @@ pub fn steps(bytes: &[u8]) -> Said {
     let labelling = Labelling {
         mode: config.gate.mode,
         wait_ns: PERIOD_NS,
-        truncated_at: Some(u64::from(config.world.horizon_ticks)),
+        truncated_at: (bytes.len() % 2 == 1).then(|| config.horizon_ticks()),
     };
     let mut assembler = Assembler::new(labelling, Counts::default());
     let (mut is_admitted, mut transitions) = (false, 0);

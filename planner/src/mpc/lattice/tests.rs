@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 use shm_config::message::Observation;
-use vehicle::Vehicle;
+use vehicle::{Point, Vehicle};
 
 use super::*;
 
@@ -14,18 +14,23 @@ struct Scene {
     left_m: f64,
     slope: f64,
     last: Option<Path>,
+    clearance_m: f64,
+    contact_m: f64,
 }
 
 fn scenes() -> impl Strategy<Value = Scene> {
     let obstacles = prop::collection::vec((-4.0..42.0, -6.0..6.0), 0..40);
     let last = prop::option::of(prop::collection::vec(-4.0..4.0, STATIONS + 1));
-    (2.0..7.0, obstacles, -4.0..4.0, -0.7..0.7, last).prop_map(
-        |(half_width_m, obstacles, left_m, slope, last): (_, _, _, _, Option<Vec<f64>>)| Scene {
+    let room = (0.1..2.0, 0.0..0.3);
+    (2.0..9.0, obstacles, -9.0..9.0, -0.9..0.9, last, room).prop_map(
+        |(half_width_m, obstacles, left_m, slope, last, (clearance_m, contact_m))| Scene {
             half_width_m,
             obstacles,
             left_m,
             slope,
-            last: last.map(|left_m| Path {
+            clearance_m,
+            contact_m,
+            last: last.map(|left_m: Vec<f64>| Path {
                 left_m: left_m.into_iter().collect(),
                 is_blocked: false,
             }),
@@ -44,7 +49,7 @@ struct Slow<'a> {
 
 impl<'a> Slow<'a> {
     fn new(ground: &'a Ground<'a>, left_m: f64, slope: f64) -> Self {
-        let begin_lane = (left_m / ACROSS_M).round() as i32;
+        let begin_lane = ((left_m / ACROSS_M).round() as i32).clamp(-SIDE, SIDE);
         let mut slow = Self {
             ground,
             begin_left_m: left_m,
@@ -166,7 +171,7 @@ fn least_of(reached: &[(i32, i32, f64)]) -> f64 {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
+    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn the_path_is_the_cheapest_of_a_search_place_by_place(scene in scenes()) {
@@ -176,14 +181,19 @@ proptest! {
         (observation.checkpoints[0].x_body_m, observation.checkpoints[1].x_body_m) = (60.0, 60.0);
         let line = Line::new(&observation);
         let mut field = Field::new();
-        for &(along_m, left_m) in &scene.obstacles {
-            field.mark(Place { along_m, left_m });
-        }
+        // The road is straight: places along it are those of the body frame.
+        let obstacles = scene.obstacles.iter();
+        field.mark_resting(&line, obstacles.map(|&(x_m, y_m)| Point::new(x_m, y_m)));
+        let config = Config {
+            clearance_m: scene.clearance_m,
+            contact_m: scene.contact_m,
+            ..Config::default()
+        };
         let ground = Ground {
             line: &line,
             field: &field,
             body: &Body::new(&Vehicle::default()),
-            config: &Config::default(),
+            config: &config,
             last: scene.last.as_ref(),
         };
         let steepness = scene.slope * STATION_M / ACROSS_M;
