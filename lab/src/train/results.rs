@@ -78,7 +78,7 @@ pub struct Block {
     pub imitation_loss: f64,
     /// Loss of the critics.
     pub critic_loss: f64,
-    /// Steps that were driven while the learner was not running.
+    /// Steps that the learner missed.
     pub lost: u64,
 }
 

@@ -254,8 +254,8 @@ pub fn notes(results: &Results) -> Vec<String> {
     for seed in &results.seeds {
         if let Some(block) = seed.blocks.last().filter(|block| block.lost > 0) {
             notes.push(format!(
-                "seed {}: {} of {} steps were driven while its learner was not running, and were not \
-                 learnt from.",
+                "seed {}: {} of {} steps were driven while its learner was not running or not waited \
+                 for, and were not learnt from.",
                 seed.seed, block.lost, block.steps
             ));
         }

@@ -1,5 +1,5 @@
-//! Warnings about blocks of a training that taught the policy nothing, or in which it did
-//! not drive.
+//! Warnings about blocks of a training that taught the policy nothing or not all, or in which
+//! it did not drive.
 
 use shm_config::config::{Algorithm, Config, GateMode};
 
@@ -12,11 +12,17 @@ pub enum BlockWarning {
     Unlabelled,
     /// A policy existed, but drove none of its steps.
     Undriven,
+    /// The learner did not receive all of its steps.
+    Missed,
 }
 
 impl BlockWarning {
     /// All warnings.
-    pub const ALL: [BlockWarning; 2] = [BlockWarning::Unlabelled, BlockWarning::Undriven];
+    pub const ALL: [BlockWarning; 3] = [
+        BlockWarning::Unlabelled,
+        BlockWarning::Undriven,
+        BlockWarning::Missed,
+    ];
 
     /// Description, as part of a sentence.
     pub fn words(self) -> &'static str {
@@ -25,6 +31,10 @@ impl BlockWarning {
                 "no step got a label: nothing new was learnt from the judge"
             }
             BlockWarning::Undriven => "the policy drove no step, though there was one",
+            BlockWarning::Missed => {
+                "the learner missed steps: it was not running, or took longer than \
+                 limits.learner_wait_s"
+            }
         }
     }
 }
@@ -48,6 +58,9 @@ pub fn warnings(blocks: &[Block], config: &Config) -> Vec<(u64, BlockWarning)> {
         let driven_by_others = block.interventions.saturating_sub(before.interventions);
         if may_drive && driven_by_others >= seen(block).saturating_sub(seen(before)) {
             found.push((block.steps, BlockWarning::Undriven));
+        }
+        if block.lost > before.lost {
+            found.push((block.steps, BlockWarning::Missed));
         }
     }
     found
@@ -104,8 +117,11 @@ mod tests {
         let mut blocks = [block(200, 200, 0), block(400, 300, 150)];
         blocks[1].lost = 100;
         let config = config(Algorithm::Pvp, GateMode::Rules);
-        assert_eq!(warnings(&blocks, &config), [(400, BlockWarning::Undriven)]);
+        let both = [(400, BlockWarning::Undriven), (400, BlockWarning::Missed)];
+        assert_eq!(warnings(&blocks, &config), both);
         blocks[1].lost = 99;
+        assert_eq!(warnings(&blocks, &config), both[1..]);
+        blocks[0].lost = 99;
         assert_eq!(warnings(&blocks, &config), []);
     }
 }
