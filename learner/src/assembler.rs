@@ -304,7 +304,8 @@ impl Assembler {
         // An episode begins right after another one, or at the beginning of the run.
         let is_first = self
             .newest
-            .map_or(header.tick == 0, |newest| newest.tick + 1 == header.tick);
+            .map_or(Some(0), |newest| newest.tick.checked_add(1))
+            .is_some_and(|first| first == header.tick);
         let first_tick = match before {
             Some(newest) => newest.first_tick,
             None => is_first.then_some(header.tick),

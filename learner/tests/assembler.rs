@@ -158,6 +158,17 @@ fn an_episode_that_the_time_limit_cuts_off_has_an_unknown_successor() {
 }
 
 #[test]
+fn a_step_of_the_last_tick_of_all_has_no_next() {
+    let mut bench = Bench::truncated_at(GateMode::Expert, Some(3));
+    let mut last = step(0);
+    last.observation.header.tick = u64::MAX;
+    bench.push(last);
+    bench.push(of_episode(step(1), 1));
+    bench.finish();
+    assert_eq!(bench.of(0).then, Then::Unknown);
+}
+
+#[test]
 fn an_episode_whose_beginning_was_missed_may_have_reached_the_time_limit() {
     // The first steps of the run, and of the second episode, are missing.
     let received = [(3, 0), (4, 0), (7, 1), (8, 1), (9, 2), (10, 3)];

@@ -295,7 +295,15 @@ mod tests {
         config.run.duration_s = 40.0;
         let text = toml::to_string(&config).expect("text");
         std::fs::write(begun.file(), text).expect("written");
-        for same in ["run.seeds=20", "run.seeds=20 limits.lockstep_wait_s=300"] {
+        let limits = &begun.config.limits;
+        assert!(
+            limits.lockstep_wait_s > limits.learner_wait_s,
+            "who waits for the controller waits for the learner"
+        );
+        for same in [
+            "run.seeds=20",
+            "run.seeds=20 limits.lockstep_wait_s=300 limits.learner_wait_s=200",
+        ] {
             assert!(open(same).is_ok(), "{same}");
         }
         for (other, hint) in [
