@@ -278,3 +278,31 @@ fn a_run_that_goes_on_waits_for_the_updates_that_its_learner_was_killed_in() {
         "driven without a policy: {after}"
     );
 }
+
+#[test]
+fn the_controller_waits_for_a_block_of_updates_as_long_as_the_limits_say() {
+    let unloaded = |wait: &str| {
+        let set = Set::new("learnlimit");
+        let settings = overrides(&[
+            "learner.enabled=true",
+            "learner.algorithm=hg-dagger",
+            "learner.block_steps=20",
+            // They take ten times as long as the rest of the run.
+            "learner.updates=1000",
+            "learner.batch=256",
+            "policy.veto_rate_max=1.0",
+            "policy.jump_max=2.0",
+            "policy.shadow_ticks=0",
+            wait,
+        ]);
+        let words = ["--lockstep", "--seed", "3", "--duration", "4"];
+        let output = set.run(&[&words[..], &["--gate", "policy"], &settings].concat());
+        assert!(output.status.success(), "{output:?}\n{}", set.logs());
+        let json = set.json();
+        assert_eq!(json["ticks"], 40, "{json}");
+        json["reasons"]["expert"]["unloaded"].as_u64().unwrap_or(0)
+    };
+    let waited = unloaded("limits.learner_wait_s=120");
+    assert_eq!(waited, 20, "the ticks of the first block");
+    assert_eq!(unloaded("limits.learner_wait_s=0.05"), 40);
+}
