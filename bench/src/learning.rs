@@ -147,19 +147,22 @@ impl Case {
         let actor = Pass {
             sizes: [FEATURES, HIDDEN, HIDDEN, ACTIONS],
             rows: self.batch,
+            groups: self.batch,
+            backward: false,
             weights: false,
-            inputs: false,
         };
         let critic = Pass {
             sizes: [FEATURES + ACTIONS, HIDDEN, HIDDEN, 1],
             ..actor
         };
         let learns = |pass| Pass {
+            backward: true,
             weights: true,
             ..pass
         };
-        let half = Pass {
-            rows: self.batch / 2,
+        // Half the states have a label that prefers the expert, and a second action.
+        let asked = Pass {
+            rows: self.batch + self.batch / 2,
             ..critic
         };
         match self.kind {
@@ -167,12 +170,10 @@ impl Case {
             Kind::Pvp => {
                 let mut passes = Vec::new();
                 for _ in 0..self.kind.period() {
-                    let targets = [actor, critic, critic];
-                    let critics = [learns(critic), learns(half), learns(critic), learns(half)];
-                    passes.extend(targets.into_iter().chain(critics));
+                    passes.extend([actor, critic, critic, learns(asked), learns(asked)]);
                 }
                 let value = Pass {
-                    inputs: true,
+                    backward: true,
                     ..critic
                 };
                 passes.extend([learns(actor), value]);

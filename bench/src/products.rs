@@ -12,10 +12,19 @@ pub struct Pass {
     pub sizes: [usize; 4],
     /// Rows of the batch.
     pub rows: usize,
-    /// The backward pass computes the gradient of the weights.
+    /// Groups of rows that the first layer multiplies once; without groups, the rows.
+    pub groups: usize,
+    /// Whether there is a backward pass.
+    pub backward: bool,
+    /// Whether it computes the gradient of the weights.
     pub weights: bool,
-    /// The backward pass computes the gradient of the inputs.
-    pub inputs: bool,
+}
+
+impl Pass {
+    /// Rows of a part of [`ROWS`] groups.
+    fn rows_of_part(&self) -> usize {
+        (ROWS * self.rows).div_ceil(self.groups.max(1))
+    }
 }
 
 /// Buffers for the products, reused by every update. The values do not affect the
@@ -31,7 +40,8 @@ impl Buffers {
     pub fn new(passes: &[Pass]) -> Buffers {
         let rows = passes.iter().map(|pass| pass.rows).max().unwrap_or(0);
         let widest = passes.iter().flat_map(|pass| pass.sizes).max().unwrap_or(0);
-        let most = widest * widest.max(ROWS);
+        let part = passes.iter().map(|pass| pass.rows_of_part()).max();
+        let most = widest * widest.max(part.unwrap_or(0));
         Buffers {
             operands: vec![0.5; most],
             results: vec![vec![0.0; most]; rows.div_ceil(ROWS)],
@@ -43,36 +53,40 @@ impl Buffers {
     pub fn multiply(&mut self, passes: &[Pass], threads: usize) {
         let operands = &self.operands[..];
         for pass in passes {
-            let begins = (0..pass.rows).step_by(ROWS);
+            let begins = (0..pass.groups).step_by(ROWS);
             let parts = begins.zip(&mut self.results);
             share(threads, parts, |(begin, result)| {
-                multiply_rows(pass, ROWS.min(pass.rows - begin), operands, result);
+                let groups = ROWS.min(pass.groups - begin);
+                let rows = pass.rows_of_part().min(groups * pass.rows / pass.groups);
+                multiply_rows(pass, (groups, rows), operands, result);
             });
         }
     }
 }
 
-fn multiply_rows(pass: &Pass, rows: usize, operands: &[f32], result: &mut [f32]) {
+fn multiply_rows(
+    pass: &Pass,
+    (groups, rows): (usize, usize),
+    operands: &[f32],
+    result: &mut [f32],
+) {
     let view = |rows: usize, columns: usize| View::new(&operands[..rows * columns], rows, columns);
     let layers = pass.sizes.windows(2).map(|pair| (pair[0], pair[1]));
-    for (inputs, outputs) in layers.clone() {
-        let (before, weights) = (view(rows, inputs), view(outputs, inputs));
-        let after = &mut result[..rows * outputs];
+    let rows = |layer: usize| if layer == 0 { groups } else { rows };
+    for (k, (inputs, outputs)) in layers.clone().enumerate() {
+        let (before, weights) = (view(rows(k), inputs), view(outputs, inputs));
+        let after = &mut result[..rows(k) * outputs];
         product(after, Old::Replace, before, weights.transposed());
     }
-    for (k, (inputs, outputs)) in layers.enumerate() {
-        let deltas = view(rows, outputs);
+    for (k, (inputs, outputs)) in layers.enumerate().filter(|_| pass.backward) {
+        let deltas = view(rows(k), outputs);
         if pass.weights {
             let slopes = &mut result[..outputs * inputs];
-            product(
-                slopes,
-                Old::Replace,
-                deltas.transposed(),
-                view(rows, inputs),
-            );
+            let inputs = view(rows(k), inputs);
+            product(slopes, Old::Replace, deltas.transposed(), inputs);
         }
-        if pass.inputs || (pass.weights && k > 0) {
-            let before = &mut result[..rows * inputs];
+        if k > 0 {
+            let before = &mut result[..rows(k) * inputs];
             product(before, Old::Replace, deltas, view(outputs, inputs));
         }
     }

@@ -5,7 +5,7 @@
 //! | [`assembler`] | steps to transitions, with the label of their question |
 //! | [`replay`], [`journal`] | the replay buffers, in memory and on disk |
 //! | [`algorithm`] | the learning algorithms, one file each |
-//! | [`network`], [`adam`], [`matrix`], [`share`] | perceptrons, their gradients, their optimiser, the threads |
+//! | [`network`], [`input`], [`adam`], [`matrix`], [`share`] | perceptrons, their input, their gradients, their optimiser, the threads |
 //! | [`features`], [`export`] | the networks' input; the export of a network as a
 //! policy file |
 //! | [`elsewhere`], [`imagine`] | observations and the expert's actions at states that
@@ -39,6 +39,7 @@ pub mod elsewhere;
 pub mod export;
 pub mod features;
 pub mod imagine;
+pub mod input;
 pub mod journal;
 pub mod matrix;
 pub mod metrics;

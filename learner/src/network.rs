@@ -7,11 +7,12 @@
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
+use crate::input::Input;
 use crate::matrix::{Old, View, product};
 use crate::share::share;
 use crate::windows::{Seen, Windows};
 
-/// Rows of a batch that one thread processes at a time. Neither the parts nor the sums
+/// Rows of a batch, or groups of rows, that one thread processes at a time. Neither the parts nor the sums
 /// over them depend on the number of threads, so the result is the same, bit by bit,
 /// for any number.
 pub const ROWS: usize = 128;
@@ -141,7 +142,7 @@ pub struct Tape {
     outputs: Vec<f32>,
 }
 
-/// The activations of at most [`ROWS`] rows of a batch.
+/// The activations of at most [`ROWS`] rows of a batch, or groups of rows.
 #[derive(Clone, Debug, Default)]
 struct Part {
     /// The outputs of each layer, `rows x outputs`.
@@ -152,6 +153,9 @@ struct Part {
     gradient: Vec<f32>,
     /// What the convolutions have seen, by layer.
     seen: Vec<Seen>,
+    /// Of each group of rows what the first layer makes of what they have in common, or the sum
+    /// of its gradients, `groups x outputs`.
+    common: Vec<f32>,
 }
 
 impl Network {
@@ -248,16 +252,23 @@ impl Network {
         })
     }
 
-    /// Outputs, `batch x outputs`, of these inputs, `batch x inputs`, computed with at
-    /// most this many threads.
-    pub fn forward<'a>(&self, inputs: &[f32], threads: usize, tape: &'a mut Tape) -> &'a [f32] {
-        let inputs = inputs.chunks(ROWS * self.inputs());
+    /// Outputs, `batch x outputs`, of these inputs, computed with at most this many threads.
+    ///
+    /// # Panics
+    /// When the input has another size, or groups of rows before a convolution.
+    pub fn forward<'a, 'i>(
+        &self,
+        inputs: impl Into<Input<'i>>,
+        threads: usize,
+        tape: &'a mut Tape,
+    ) -> &'a [f32] {
+        let inputs = inputs.into().parts(ROWS, self.inputs());
         let count = inputs.len();
         if tape.parts.len() < count {
             tape.parts.resize_with(count, Part::default);
         }
         let parts = &mut tape.parts[..count];
-        share(threads, inputs.zip(&mut *parts), |(inputs, part)| {
+        share(threads, inputs.zip(&mut *parts), |((inputs, _), part)| {
             self.forward_rows(inputs, part);
         });
         tape.outputs.clear();
@@ -268,32 +279,35 @@ impl Network {
         &tape.outputs
     }
 
-    fn forward_rows(&self, inputs: &[f32], part: &mut Part) {
-        let rows = inputs.len() / self.inputs();
+    fn forward_rows(&self, inputs: Input, part: &mut Part) {
         part.activations.resize_with(self.layers.len(), Vec::new);
         part.seen.resize_with(self.layers.len(), Seen::default);
         for (k, layer) in self.layers.iter().enumerate() {
             let (before, rest) = part.activations.split_at_mut(k);
-            let input = before.last().map_or(inputs, Vec::as_slice);
+            let input = before.last().map_or(inputs, |before| Input::Rows(before));
             let output = &mut rest[0];
             if let Some(windows) = &layer.windows {
                 let bias = &self.parameters[layer.bias()];
                 let weights = (&self.parameters[layer.weights()], bias);
                 let seen = &mut part.seen[k];
-                windows.forward((input, layer.inputs), weights, seen, output);
+                windows.forward((input.rows(), layer.inputs), weights, seen, output);
                 continue;
             }
-            output.clear();
-            for _ in 0..rows {
-                output.extend_from_slice(&self.parameters[layer.bias()]);
-            }
-            let input = View::new(input, rows, layer.inputs);
             let weights = self.weights(layer);
-            product(output, Old::Add, input, weights.transposed());
+            match input {
+                Input::Groups(groups) => groups.forward(weights, &mut part.common, output),
+                Input::Rows(rows) => {
+                    let count = rows.len() / layer.inputs;
+                    output.resize(count * layer.outputs, 0.0);
+                    let rows = View::new(rows, count, layer.inputs);
+                    product(output, Old::Replace, rows, weights.transposed());
+                }
+            }
+            let bias = &self.parameters[layer.bias()];
             match (k + 1 == self.layers.len(), self.head) {
-                (false, _) => output.iter_mut().for_each(|value| *value = value.max(0.0)),
-                (true, Head::Tanh) => output.iter_mut().for_each(|value| *value = value.tanh()),
-                (true, Head::Linear) => {}
+                (false, _) => finish(output, bias, |sum| sum.max(0.0)),
+                (true, Head::Tanh) => finish(output, bias, f32::tanh),
+                (true, Head::Linear) => finish(output, bias, |sum| sum),
             }
         }
     }
@@ -304,35 +318,40 @@ impl Network {
         View::new(weights, layer.outputs, layer.inputs)
     }
 
-    /// The backward pass: adds the gradient of the parameters to `gradient`, and writes
-    /// the gradient of the inputs to `input_gradient`, each if requested.
+    /// The backward pass: writes the gradients of the parameters and of the inputs, each if
+    /// requested; of groups of rows that of what each row has of its own, `rows x own`.
     ///
     /// `delta` is the gradient of the outputs, `batch x outputs`; `tape` is that of the
     /// forward pass over the same inputs.
-    pub fn backward(
+    ///
+    /// # Panics
+    /// When the sizes do not fit.
+    pub fn backward<'i>(
         &self,
-        (inputs, delta): (&[f32], &[f32]),
+        (inputs, delta): (impl Into<Input<'i>>, &[f32]),
         threads: usize,
         tape: &mut Tape,
-        gradient: Option<&mut [f32]>,
+        gradient: Option<&mut Vec<f32>>,
         input_gradient: Option<&mut Vec<f32>>,
     ) {
-        let inputs = inputs.chunks(ROWS * self.inputs());
-        let deltas = delta.chunks(ROWS * self.outputs());
+        let inputs = inputs.into().parts(ROWS, self.inputs());
         let parts = &mut tape.parts[..inputs.len()];
         let wanted = (gradient.is_some(), input_gradient.is_some());
-        let rows = inputs.zip(deltas).zip(&mut *parts);
-        share(threads, rows, |(rows, part)| {
-            self.backward_rows(rows, wanted, part);
+        let work = inputs.zip(&mut *parts);
+        share(threads, work, |((inputs, rows), part)| {
+            let delta = &delta[rows.start * self.outputs()..rows.end * self.outputs()];
+            self.backward_rows((inputs, delta), wanted, part);
         });
         if let Some(gradient) = gradient {
             let parts = &*parts;
+            gradient.resize(self.parameters.len(), 0.0);
             let chunks = gradient.chunks_mut(CHUNK).enumerate();
             share(threads, chunks, |(chunk, slopes)| {
-                for part in parts {
-                    let of_part = &part.gradient[chunk * CHUNK..];
-                    for (slope, of_part) in slopes.iter_mut().zip(of_part) {
-                        *slope += of_part;
+                let of_parts = parts.iter().map(|part| &part.gradient[chunk * CHUNK..]);
+                for (k, of_part) in of_parts.enumerate() {
+                    match k {
+                        0 => slopes.copy_from_slice(&of_part[..slopes.len()]),
+                        _ => add(slopes, of_part),
                     }
                 }
             });
@@ -349,11 +368,11 @@ impl Network {
     /// part's `gradient` and to the first of its `deltas`.
     fn backward_rows(
         &self,
-        (inputs, delta): (&[f32], &[f32]),
+        (inputs, delta): (Input, &[f32]),
         (wants_gradient, wants_input_gradient): (bool, bool),
         part: &mut Part,
     ) {
-        let rows = inputs.len() / self.inputs();
+        let rows = delta.len() / self.outputs();
         let [delta_here, delta_before] = &mut part.deltas;
         delta_here.clear();
         delta_here.extend_from_slice(delta);
@@ -391,30 +410,58 @@ impl Network {
                 }
             }
             let deltas = View::new(delta_here, rows, layer.outputs);
+            let input = match k {
+                0 => inputs,
+                _ => Input::Rows(&part.activations[k - 1]),
+            };
             if wants_gradient {
-                let input = match k {
-                    0 => inputs,
-                    _ => &part.activations[k - 1],
-                };
-                let input = View::new(input, rows, layer.inputs);
-                let slope = &mut part.gradient[layer.weights()];
-                product(slope, Old::Replace, deltas.transposed(), input);
-                let bias = &mut part.gradient[layer.bias()];
-                bias.fill(0.0);
-                for row in delta_here.chunks_exact(layer.outputs) {
-                    for (slope, delta) in bias.iter_mut().zip(row) {
-                        *slope += delta;
+                let slopes = &mut part.gradient[layer.weights()];
+                match input {
+                    Input::Groups(groups) => {
+                        let delta = (&delta_here[..], layer.sums);
+                        groups.slopes(delta, &mut part.common, (slopes, layer.inputs));
+                    }
+                    Input::Rows(input) => {
+                        let input = View::new(input, rows, layer.inputs);
+                        product(slopes, Old::Replace, deltas.transposed(), input);
                     }
                 }
+                let bias = &mut part.gradient[layer.bias()];
+                bias.fill(0.0);
+                let rows = delta_here.chunks_exact(layer.outputs);
+                rows.for_each(|row| add(bias, row));
             }
             if !wants_before {
                 break;
             }
-            delta_before.resize(rows * layer.inputs, 0.0);
-            product(delta_before, Old::Replace, deltas, self.weights(layer));
+            match input {
+                Input::Groups(groups) => {
+                    groups.own_slopes(deltas, self.weights(layer), delta_before);
+                }
+                Input::Rows(_) => {
+                    delta_before.resize(rows * layer.inputs, 0.0);
+                    product(delta_before, Old::Replace, deltas, self.weights(layer));
+                }
+            }
             std::mem::swap(delta_here, delta_before);
         }
     }
+}
+
+/// Adds a layer's biases to the products of each row, and activates the sums.
+fn finish(products: &mut [f32], bias: &[f32], activate: impl Fn(f32) -> f32) {
+    for row in products.chunks_exact_mut(bias.len()) {
+        for (value, bias) in row.iter_mut().zip(bias) {
+            *value = activate(*value + bias);
+        }
+    }
+}
+
+/// Adds other numbers to these.
+pub(crate) fn add(sums: &mut [f32], others: &[f32]) {
+    sums.iter_mut()
+        .zip(others)
+        .for_each(|(sum, other)| *sum += other);
 }
 
 /// Moves parameters towards those of another network by this share (Polyak averaging).

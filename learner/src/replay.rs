@@ -9,6 +9,8 @@ use rand::{Rng, RngExt};
 use shm_config::message::{FEATURES, INPUTS_WITH_MOTION, Preference};
 
 use crate::features;
+use crate::network::ROWS;
+use crate::share::share;
 
 /// Numbers in an action: steering, pedal.
 pub const ACTIONS: usize = 2;
@@ -147,15 +149,18 @@ impl Batch {
         self.is_known.clear();
     }
 
-    /// Appends a transition, as recorded or mirrored, with so many numbers of its state.
-    fn push(&mut self, transition: &Transition, reflection: Reflection, inputs: usize) {
-        append(&mut self.states, &transition.state[..inputs], reflection);
+    /// Appends what is not a state of a transition, as recorded or mirrored.
+    fn push(&mut self, drawn: &Drawn) {
+        let Drawn {
+            transition,
+            reflection,
+        } = drawn;
         for (actions, mut action) in [
             (&mut self.applied, transition.applied),
             (&mut self.policy, transition.policy),
             (&mut self.expert, transition.expert),
         ] {
-            if reflection == Reflection::Mirrored {
+            if *reflection == Reflection::Mirrored {
                 features::mirror_action(&mut action);
             }
             actions.extend_from_slice(&action);
@@ -169,15 +174,40 @@ impl Batch {
     }
 }
 
-/// Appends plain features to a batch, as recorded or mirrored, as the networks take them.
-fn append(states: &mut Vec<f32>, state: &[f32], reflection: Reflection) {
-    let begin = states.len();
-    states.extend_from_slice(state);
-    let state = &mut states[begin..];
-    if reflection == Reflection::Mirrored {
-        features::mirror(state);
+/// A transition that was drawn for a batch.
+#[derive(Clone, Copy)]
+struct Drawn<'a> {
+    transition: &'a Transition,
+    reflection: Reflection,
+}
+
+impl Drawn<'_> {
+    fn draw<'a>(transition: &'a Transition, random: &mut impl Rng) -> Drawn<'a> {
+        Drawn {
+            transition,
+            reflection: Reflection::draw(random),
+        }
     }
-    features::prepare(state);
+}
+
+/// Writes states of drawn transitions, `rows x inputs`, as the networks take them.
+fn write_states(
+    states: &mut Vec<f32>,
+    (drawn, inputs): (&[Drawn], usize),
+    threads: usize,
+    state: impl Fn(&Transition) -> &[f32; INPUTS] + Sync,
+) {
+    states.resize(drawn.len() * inputs, 0.0);
+    let parts = states.chunks_mut(ROWS * inputs).zip(drawn.chunks(ROWS));
+    share(threads, parts, |(states, drawn)| {
+        for (out, drawn) in states.chunks_exact_mut(inputs).zip(drawn) {
+            out.copy_from_slice(&state(drawn.transition)[..inputs]);
+            if drawn.reflection == Reflection::Mirrored {
+                features::mirror(out);
+            }
+            features::prepare(out);
+        }
+    });
 }
 
 impl Replay {
@@ -242,34 +272,42 @@ impl Replay {
 
     /// Draws this many steps, with replacement: half of them from those that prefer the
     /// expert and half from the others, or all from the only buffer that is not empty
-    /// (Sec. 4.3).
-    pub fn sample_evenly(&self, size: usize, random: &mut impl Rng, batch: &mut Batch) {
+    /// (Sec. 4.3). At most so many threads copy them, which changes no bit.
+    pub fn sample_evenly(
+        &self,
+        size: usize,
+        random: &mut impl Rng,
+        threads: usize,
+        batch: &mut Batch,
+    ) {
         batch.clear();
-        let expert = match (self.len(Buffer::Expert), self.len(Buffer::Learner)) {
+        let buffers: &[Buffer] = match (self.len(Buffer::Expert), self.len(Buffer::Learner)) {
             (0, 0) => return,
-            (_, 0) => size,
-            (0, _) => 0,
-            (_, _) => size / 2,
+            (_, 0) => &[Buffer::Expert],
+            (0, _) => &[Buffer::Learner],
+            // In turn, so that threads that share a batch have as many rows of either.
+            (_, _) => &[Buffer::Learner, Buffer::Expert],
         };
-        for (buffer, share) in [(Buffer::Expert, expert), (Buffer::Learner, size - expert)] {
+        let mut drawn = Vec::with_capacity(size);
+        for &buffer in buffers.iter().cycle().take(size) {
             let held = &self.buffers[buffer as usize];
-            for _ in 0..share {
-                let transition = &held[random.random_range(0..held.len())];
-                let reflection = Reflection::draw(random);
-                batch.push(transition, reflection, self.inputs);
-                let next = &transition.next[..self.inputs];
-                append(&mut batch.nexts, next, reflection);
-            }
+            let transition = &held[random.random_range(0..held.len())];
+            drawn.push(Drawn::draw(transition, random));
         }
+        self.write(&drawn, threads, batch);
+        let drawn = (&drawn[..], self.inputs);
+        write_states(&mut batch.nexts, drawn, threads, |held| &held.next);
     }
 
     /// Draws this many transitions from these buffers as if they were one, with
-    /// replacement and without what followed them; none when all of them are empty.
+    /// replacement and without what followed them; none when all of them are empty. At most so
+    /// many threads copy them, which changes no bit.
     pub fn sample(
         &self,
         buffers: &[Buffer],
         size: usize,
         random: &mut impl Rng,
+        threads: usize,
         batch: &mut Batch,
     ) {
         batch.clear();
@@ -277,17 +315,25 @@ impl Replay {
         if total == 0 {
             return;
         }
+        let mut drawn = Vec::with_capacity(size);
         for _ in 0..size {
             let mut k = random.random_range(0..total);
             for &buffer in buffers {
                 match self.buffers[buffer as usize].get(k) {
                     Some(transition) => {
-                        batch.push(transition, Reflection::draw(random), self.inputs);
+                        drawn.push(Drawn::draw(transition, random));
                         break;
                     }
                     None => k -= self.len(buffer),
                 }
             }
         }
+        self.write(&drawn, threads, batch);
+    }
+
+    fn write(&self, drawn: &[Drawn], threads: usize, batch: &mut Batch) {
+        drawn.iter().for_each(|drawn| batch.push(drawn));
+        let drawn = (drawn, self.inputs);
+        write_states(&mut batch.states, drawn, threads, |held| &held.state);
     }
 }

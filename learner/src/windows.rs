@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::matrix::{Old, View, product};
+use crate::network::add;
 
 /// Which numbers of the input each window holds.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -112,11 +113,8 @@ impl Windows {
             let windows = View::new(windows, rows, self.window);
             product(of_weights, Old::Replace, deltas.transposed(), windows);
             of_bias.fill(0.0);
-            for row in answers.chunks_exact(filters) {
-                for (slope, delta) in of_bias.iter_mut().zip(row) {
-                    *slope += delta;
-                }
-            }
+            let rows = answers.chunks_exact(filters);
+            rows.for_each(|row| add(of_bias, row));
         }
         let Some((of_input, inputs)) = of_input else {
             return;

@@ -2,7 +2,8 @@
 //!
 //! The gradients of the losses are tested in `src/algorithm`.
 
-use learner::network::{Head, Network, Tape};
+use learner::input::{Groups, Input};
+use learner::network::{Head, Network, ROWS, Tape};
 use learner::windows::Windows;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -71,7 +72,7 @@ impl Case {
     fn gradients(&self, threads: usize) -> (Vec<f32>, Vec<f32>) {
         let mut tape = Tape::default();
         self.network.forward(&self.inputs, threads, &mut tape);
-        let mut parameters = vec![0.0; self.network.parameters().len()];
+        let mut parameters = Vec::new();
         let mut inputs = Vec::new();
         self.network.backward(
             (&self.inputs, &self.weights),
@@ -139,17 +140,17 @@ fn slopes_of_parameters_and_inputs_are_those_of_finite_differences() {
 }
 
 #[test]
-fn a_pass_back_adds_to_the_gradient_that_is_there() {
+fn a_pass_back_replaces_the_gradient_that_is_there() {
     let case = Case::new(Head::Tanh, 1);
     let (once, _) = case.gradients(1);
     let mut tape = Tape::default();
     case.network.forward(&case.inputs, 1, &mut tape);
-    let mut twice = once.clone();
-    let pass = (&case.inputs[..], &case.weights[..]);
-    case.network
-        .backward(pass, 1, &mut tape, Some(&mut twice), None);
-    for (twice, once) in twice.iter().zip(&once) {
-        assert!((twice - 2.0 * once).abs() <= 1e-5 * (1.0 + once.abs()));
+    for before in [once.clone(), vec![7.0; 3], Vec::new()] {
+        let mut again = before;
+        let pass = (&case.inputs, &case.weights[..]);
+        case.network
+            .backward(pass, 1, &mut tape, Some(&mut again), None);
+        assert_eq!(again, once);
     }
 }
 
@@ -191,11 +192,15 @@ fn a_batch_in_parts_has_the_gradients_of_its_rows() {
         .zip(case.weights.chunks(SIZES[3]))
     {
         case.network.forward(input, 1, &mut tape);
-        let mut gradient = Vec::new();
+        let (mut gradient, mut of_input) = (Vec::new(), Vec::new());
+        let wanted = (Some(&mut gradient), Some(&mut of_input));
         let pass = (input, weight);
         case.network
-            .backward(pass, 1, &mut tape, Some(&mut sum), Some(&mut gradient));
-        each.extend(gradient);
+            .backward(pass, 1, &mut tape, wanted.0, wanted.1);
+        each.extend(of_input);
+        sum.iter_mut()
+            .zip(gradient)
+            .for_each(|(sum, slope)| *sum += slope);
     }
     let rows = whole.iter().zip(&sum).chain(inputs.iter().zip(&each));
     for (whole, rows) in rows {
@@ -214,13 +219,107 @@ fn a_tape_may_be_used_again_for_a_batch_of_another_size() {
     let larger = [&case.inputs[..], &case.inputs, &case.inputs].concat();
     case.network.forward(&larger, 1, &mut tape);
     let weights = [&case.weights[..], &case.weights, &case.weights].concat();
-    let mut gradient = vec![0.0; expected.len()];
+    let mut gradient = Vec::new();
     case.network
         .backward((&larger, &weights), 1, &mut tape, Some(&mut gradient), None);
     case.network.forward(&case.inputs, 1, &mut tape);
-    gradient.fill(0.0);
     let pass = (&case.inputs[..], &case.weights[..]);
     case.network
         .backward(pass, 1, &mut tape, Some(&mut gradient), None);
     assert_eq!(gradient, expected);
+}
+
+/// Groups of rows of a network without convolutions: two numbers in common, three of their own.
+struct Grouped {
+    case: Case,
+    common: Vec<f32>,
+    own: Vec<f32>,
+    rows: Vec<usize>,
+}
+
+impl Grouped {
+    fn new(groups: usize) -> Grouped {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(4);
+        // Some groups have no row at all.
+        let rows: Vec<usize> = (0..groups).map(|k| [1, 3, 0, 2][k % 4]).collect();
+        let batch = rows.iter().sum();
+        let mut numbers = |count: usize| -> Vec<f32> {
+            (0..count).map(|_| random.random_range(-1.0..1.0)).collect()
+        };
+        Grouped {
+            common: numbers(groups * 2),
+            own: numbers(batch * 3),
+            case: Case::of(Head::Tanh, 2, batch),
+            rows,
+        }
+    }
+
+    fn groups(&self) -> Groups<'_> {
+        Groups {
+            common: &self.common,
+            own: &self.own,
+            rows: &self.rows,
+        }
+    }
+
+    /// The same rows without groups.
+    fn plain(&self) -> Vec<f32> {
+        let common = self.common.chunks(2).zip(&self.rows);
+        let common = common.flat_map(|(common, rows)| vec![common; *rows]);
+        let rows = common.zip(self.own.chunks(3));
+        rows.flat_map(|(common, own)| [common, own].concat())
+            .collect()
+    }
+
+    /// Outputs, gradients of the parameters, and of the inputs.
+    fn pass<'a>(&self, inputs: impl Into<Input<'a>>, threads: usize) -> [Vec<f32>; 3] {
+        let (network, inputs) = (&self.case.network, inputs.into());
+        let mut tape = Tape::default();
+        let outputs = network.forward(inputs, threads, &mut tape).to_vec();
+        let (mut gradient, mut of_inputs) = (Vec::new(), Vec::new());
+        let pass = (inputs, &self.case.weights[..]);
+        let wanted = (Some(&mut gradient), Some(&mut of_inputs));
+        network.backward(pass, threads, &mut tape, wanted.0, wanted.1);
+        [outputs, gradient, of_inputs]
+    }
+}
+
+#[test]
+fn groups_of_rows_have_the_outputs_and_gradients_of_their_rows() {
+    // In one part, and in several.
+    for groups in [1, 9, 2 * ROWS + 5] {
+        let grouped = Grouped::new(groups);
+        let [outputs, gradient, of_own] = grouped.pass(grouped.groups(), 1);
+        let [plain_outputs, plain_gradient, of_inputs] = grouped.pass(&grouped.plain(), 1);
+        let of_plain = of_inputs.chunks(SIZES[0]).flat_map(|row| &row[2..]);
+        let pairs = outputs.iter().zip(&plain_outputs);
+        let pairs = pairs.chain(gradient.iter().zip(&plain_gradient));
+        assert_eq!(of_own.len(), grouped.own.len());
+        for (grouped, plain) in pairs.chain(of_own.iter().zip(of_plain)) {
+            let off = (grouped - plain).abs();
+            assert!(off <= 1e-4 * (1.0 + plain.abs()), "{grouped} and {plain}");
+        }
+    }
+}
+
+#[test]
+fn any_number_of_threads_gives_groups_the_same_gradients_to_the_last_bit() {
+    let grouped = Grouped::new(5 * ROWS + 3);
+    let one = grouped.pass(grouped.groups(), 1);
+    for threads in [0, 2, 3] {
+        let more = grouped.pass(grouped.groups(), threads);
+        assert_eq!(more, one, "{threads} threads");
+    }
+}
+
+#[test]
+#[should_panic(expected = "groups of rows of another size")]
+fn groups_with_a_row_too_few_are_refused() {
+    let grouped = Grouped::new(9);
+    let own = &grouped.own[3..];
+    let groups = Groups {
+        own,
+        ..grouped.groups()
+    };
+    grouped.pass(groups, 1);
 }

@@ -68,7 +68,7 @@ fn half_of_an_even_sample_prefers_the_expert_however_few_do() {
     let mut batch = Batch::default();
     let mut seen = [0; 3];
     for _ in 0..20 {
-        replay.sample_evenly(64, &mut random, &mut batch);
+        replay.sample_evenly(64, &mut random, 1, &mut batch);
         assert_eq!(batch.len(), 64);
         let drawn = drawn(&batch);
         let preferred = drawn.iter().filter(|&&number| number < 100).count();
@@ -100,7 +100,7 @@ fn an_even_sample_of_one_buffer_is_complete() {
         replay.push(buffer, numbered(7, label));
         let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
         let mut batch = Batch::default();
-        replay.sample_evenly(9, &mut random, &mut batch);
+        replay.sample_evenly(9, &mut random, 1, &mut batch);
         assert_eq!(drawn(&batch), [7; 9], "{buffer:?}");
     }
 }
@@ -111,12 +111,13 @@ fn nothing_is_drawn_from_empty_buffers() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
     let mut batch = Batch::default();
     replay.push(Buffer::Predicted, numbered(0, Preference::Expert));
-    replay.sample_evenly(8, &mut random, &mut batch);
+    replay.sample_evenly(8, &mut random, 1, &mut batch);
     assert!(batch.is_empty());
     replay.sample(
         &[Buffer::Expert, Buffer::Learner],
         8,
         &mut random,
+        1,
         &mut batch,
     );
     assert!(batch.is_empty());
@@ -137,6 +138,7 @@ fn buffers_are_sampled_in_proportion_to_their_sizes() {
         &[Buffer::Expert, Buffer::Predicted],
         4000,
         &mut random,
+        1,
         &mut batch,
     );
     assert_eq!(batch.len(), 4000);
@@ -149,12 +151,34 @@ fn buffers_are_sampled_in_proportion_to_their_sizes() {
 }
 
 #[test]
+fn any_number_of_threads_draws_the_same() {
+    let mut replay = Replay::new(1000);
+    for number in 0..100 {
+        let label = [Preference::Expert, Preference::Policy][number as usize % 2];
+        let transition = numbered(number, label);
+        replay.push(transition.buffer(), transition);
+    }
+    let draw = |threads: usize| {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(4);
+        let [mut evenly, mut all] = [(); 2].map(|()| Batch::default());
+        replay.sample_evenly(301, &mut random, threads, &mut evenly);
+        replay.sample(&Buffer::ALL, 301, &mut random, threads, &mut all);
+        [evenly.states, evenly.nexts, evenly.expert, all.states]
+    };
+    let one = draw(1);
+    assert_eq!(one[0].len(), one[3].len());
+    for threads in [0, 2, 3] {
+        assert_eq!(draw(threads), one, "{threads} threads");
+    }
+}
+
+#[test]
 fn about_half_of_a_sample_is_mirrored() {
     let mut replay = Replay::new(10);
     replay.push(Buffer::Expert, numbered(1, Preference::Expert));
     let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
     let mut batch = Batch::default();
-    replay.sample_evenly(1000, &mut random, &mut batch);
+    replay.sample_evenly(1000, &mut random, 1, &mut batch);
     let mirrored = |actions: &[f32]| -> Vec<bool> {
         actions
             .chunks_exact(ACTIONS)

@@ -144,7 +144,7 @@ impl Member {
             };
             rows.iter().for_each(|row| inputs.extend_from_slice(row));
         }
-        let outputs = self.network.forward(inputs, 1, tape);
+        let outputs = self.network.forward(&*inputs, 1, tape);
         delta.clear();
         for (pair, (_, label)) in pairs(outputs).zip(batch) {
             let slopes = slopes(pair, *label);
@@ -156,11 +156,8 @@ impl Member {
                     .map(|slope| (slope * scale) as f32),
             );
         }
-        gradient.clear();
-        gradient.resize(self.network.parameters().len(), 0.0);
         let pass = (&inputs[..], &delta[..]);
-        let wanted = Some(&mut gradient[..]);
-        self.network.backward(pass, 1, tape, wanted, None);
+        self.network.backward(pass, 1, tape, Some(gradient), None);
         let keep = 1.0 - self.adam.rate.start * DECAY;
         let parameters = self.network.parameters_mut();
         parameters

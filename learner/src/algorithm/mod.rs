@@ -17,7 +17,6 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 use shm_config::message::INPUTS_WITH_MOTION;
 
-use crate::adam::Part;
 use crate::network::{CHUNK, Head, Network, follow};
 use crate::replay::{ACTIONS, Buffer, Replay};
 use crate::share::share;
@@ -73,6 +72,8 @@ pub struct Learned {
     pub network: Network,
     /// Its optimiser.
     pub adam: Adam,
+    /// That of the last backward pass.
+    #[serde(skip)]
     gradient: Vec<f32>,
 }
 
@@ -88,28 +89,25 @@ impl Learned {
         Learned {
             network,
             adam: Adam::new(count, rate),
-            gradient: vec![0.0; count],
+            gradient: Vec::new(),
         }
     }
 
-    /// Takes one step of the optimiser along the gathered gradient, and clears the
-    /// gradient. A follower, a network of the same sizes, then moves towards this one by a
-    /// share ([`follow`]).
+    /// Takes one step of the optimiser against the gradient. A follower, a network of the same
+    /// sizes, then moves towards this one by a share ([`follow`]).
     fn step(&mut self, threads: usize, follower: Option<(&mut Network, f32)>) {
         let parameters = self.network.parameters_mut().chunks_mut(CHUNK);
         let parts = self.adam.begin_step(CHUNK).zip(parameters);
-        let parts = parts.zip(self.gradient.chunks_mut(CHUNK));
-        let step = |((adam, parameters), gradient): ((Part, &mut [f32]), &mut [f32])| {
-            adam.step(parameters, gradient);
-            gradient.fill(0.0);
-        };
+        let parts = parts.zip(self.gradient.chunks(CHUNK));
         match follower {
-            None => share(threads, parts, step),
+            None => share(threads, parts, |((adam, parameters), gradient)| {
+                adam.step(parameters, gradient);
+            }),
             Some((follower, rate)) => {
                 let followers = follower.parameters_mut().chunks_mut(CHUNK);
                 share(threads, parts.zip(followers), |(own, follower)| {
                     let ((adam, parameters), gradient) = own;
-                    step(((adam, &mut *parameters), gradient));
+                    adam.step(parameters, gradient);
                     follow(follower, parameters, rate);
                 });
             }
@@ -227,7 +225,7 @@ mod tests {
             let mut tape = Tape::default();
             for _ in 0..3 {
                 own.network.forward(&states, threads, &mut tape);
-                let gradient = Some(&mut own.gradient[..]);
+                let gradient = Some(&mut own.gradient);
                 let pass = (&states[..], &delta[..]);
                 own.network
                     .backward(pass, threads, &mut tape, gradient, None);
@@ -239,7 +237,6 @@ mod tests {
                 own.step(threads, Some((&mut follower, 0.1)));
                 assert_eq!((&own.network, &own.adam), (&plain, &adam));
                 assert_eq!(follower, followed);
-                assert!(own.gradient.iter().all(|slope| *slope == 0.0));
             }
             (own, follower)
         };

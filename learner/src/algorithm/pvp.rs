@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Learned, Losses, Size, actor};
 use crate::Rate;
+use crate::input::Groups;
 use crate::network::{Head, Network, Tape};
 use crate::replay::{ACTIONS, Batch, Replay};
 
@@ -80,12 +81,28 @@ struct Workspace {
     tape: Tape,
     critic_tape: Tape,
     actions: Vec<f32>,
-    inputs: Vec<f32>,
+    /// What the critics are asked.
+    questions: Questions,
     values: Vec<f32>,
     delta: Vec<f32>,
-    judged: Vec<f32>,
     gradient: Vec<f32>,
-    bounds: Vec<f32>,
+}
+
+/// Actions that the critics value, `actions x ACTIONS`, times their scale, state by state.
+#[derive(Clone, Debug, Default)]
+struct Questions {
+    actions: Vec<f32>,
+    /// How many actions there are of each state.
+    counts: Vec<usize>,
+    /// The values that each action should have, and how much its distance from each counts.
+    aims: Vec<[Aim; 2]>,
+}
+
+/// A value that an action should have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Aim {
+    value: f32,
+    weight: f32,
 }
 
 impl Pvp {
@@ -119,7 +136,7 @@ impl Pvp {
             batch,
             tape,
             actions,
-            inputs,
+            questions,
             values,
             ..
         } = &mut self.workspace;
@@ -129,7 +146,8 @@ impl Pvp {
             let noise = normal(random).clamp(-TARGET_NOISE_CLIP, TARGET_NOISE_CLIP);
             *action = (*action + self.settings.target_noise * noise).clamp(-1.0, 1.0);
         }
-        join(&batch.nexts, actions, self.settings.critic_scale, inputs);
+        questions.ask_of_each(actions, self.settings.critic_scale);
+        let inputs = questions.about(&batch.nexts);
         values.clear();
         values.extend_from_slice(self.critic_targets[0].forward(inputs, threads, tape));
         let second = self.critic_targets[1].forward(inputs, threads, tape);
@@ -143,43 +161,30 @@ impl Pvp {
     fn critic_loss(&mut self, threads: usize) -> f32 {
         let Workspace {
             batch,
-            tape,
             critic_tape,
-            inputs,
+            questions,
             values,
             delta,
-            judged,
-            bounds,
             ..
         } = &mut self.workspace;
+        questions.ask_of_all(batch, values, self.settings.critic_scale);
+        let inputs = questions.about(&batch.states);
         let share = 1.0 / batch.len() as f32;
-        let scale = self.settings.critic_scale;
-        join(&batch.states, &batch.applied, scale, inputs);
-        join_preferences(batch, scale, judged, bounds);
         let mut loss = 0.0;
         for critic in &mut self.critics {
-            let taken = critic.network.forward(inputs, threads, tape);
+            let values = critic.network.forward(inputs, threads, critic_tape);
             delta.clear();
-            for (k, &value) in taken.iter().enumerate() {
-                let [td, margin] = [value - values[k], value - VALUE_BOUND];
-                let known = batch.is_known[k];
-                let preferred = batch.is_preferred[k] * f32::from(is_experts(batch, k));
-                loss += share * (known * td * td + preferred * margin * margin);
-                delta.push(2.0 * share * (known * td + preferred * margin));
+            for (value, aims) in values.iter().zip(&questions.aims) {
+                let errors = aims.map(|aim| (share * aim.weight, value - aim.value));
+                loss += errors
+                    .map(|(weight, error)| weight * error * error)
+                    .iter()
+                    .sum::<f32>();
+                let slopes = errors.map(|(weight, error)| 2.0 * weight * error);
+                delta.push(slopes.iter().sum());
             }
-            let gradient = Some(&mut critic.gradient[..]);
-            critic
-                .network
-                .backward((inputs, delta), threads, tape, gradient, None);
-            let values = critic.network.forward(judged, threads, critic_tape);
-            delta.clear();
-            for (value, bound) in values.iter().zip(&*bounds) {
-                let margin = value - bound;
-                loss += share * margin * margin;
-                delta.push(2.0 * share * margin);
-            }
-            let gradient = Some(&mut critic.gradient[..]);
-            let pass = (&judged[..], &delta[..]);
+            let gradient = Some(&mut critic.gradient);
+            let pass = (inputs, &delta[..]);
             critic
                 .network
                 .backward(pass, threads, critic_tape, gradient, None);
@@ -195,7 +200,7 @@ impl Pvp {
             tape,
             critic_tape,
             actions,
-            inputs,
+            questions,
             delta,
             gradient: action_gradient,
             ..
@@ -204,28 +209,17 @@ impl Pvp {
         actions.clear();
         actions.extend_from_slice(self.actor.network.forward(&batch.states, threads, tape));
         let scale = self.settings.critic_scale;
-        join(&batch.states, actions, scale, inputs);
+        questions.ask_of_each(actions, scale);
+        let inputs = questions.about(&batch.states);
         let critic = &self.critics[0].network;
         let values = critic.forward(inputs, threads, critic_tape);
         let value = values.iter().sum::<f32>() * share;
         delta.clear();
         delta.resize(batch.len(), -share);
-        critic.backward(
-            (inputs, delta),
-            threads,
-            critic_tape,
-            None,
-            Some(action_gradient),
-        );
+        let pass = (inputs, &delta[..]);
+        critic.backward(pass, threads, critic_tape, None, Some(action_gradient));
         delta.clear();
-        for row in action_gradient.chunks_exact(self.size.inputs + ACTIONS) {
-            delta.extend(
-                row[self.size.inputs..]
-                    .iter()
-                    .zip(scale)
-                    .map(|(slope, scale)| slope * scale),
-            );
-        }
+        delta.extend(scaled(action_gradient, scale));
         let preferred = batch.is_preferred.iter().sum::<f32>() + EPSILON;
         let weight = self.settings.imitation_weight / (preferred * ACTIONS as f32);
         let mut imitation = 0.0;
@@ -236,7 +230,7 @@ impl Pvp {
             delta[k] += 2.0 * counts * weight * error;
         }
         let pass = (&batch.states[..], &delta[..]);
-        let gradient = Some(&mut self.actor.gradient[..]);
+        let gradient = Some(&mut self.actor.gradient);
         self.actor
             .network
             .backward(pass, threads, tape, gradient, None);
@@ -251,7 +245,7 @@ impl Pvp {
 impl Pvp {
     /// One update of the critics; every second call also updates the actor.
     pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
-        replay.sample_evenly(self.size.batch, random, &mut self.workspace.batch);
+        replay.sample_evenly(self.size.batch, random, threads, &mut self.workspace.batch);
         if self.workspace.batch.is_empty() {
             return Losses::default();
         }
@@ -299,61 +293,83 @@ impl Pvp {
     }
 }
 
-/// Each row holds a state and an action times `scale`: `batch x (inputs + ACTIONS)`.
-fn join(states: &[f32], actions: &[f32], scale: [f32; ACTIONS], out: &mut Vec<f32>) {
-    out.clear();
-    for (state, action) in rows(states, actions).zip(actions.chunks_exact(ACTIONS)) {
-        add(out, state, action, scale);
+impl Questions {
+    /// One action of each state, `states x ACTIONS`.
+    fn ask_of_each(&mut self, actions: &[f32], scale: [f32; ACTIONS]) {
+        self.actions.clear();
+        self.actions.extend(scaled(actions, scale));
+        self.counts.clear();
+        self.counts.resize(actions.len() / ACTIONS, 1);
+    }
+
+    /// Of each state the applied action, which should have the value of `targets` and, where
+    /// the label prefers the expert and it is the expert's proposal, the value of a preferred
+    /// action. Where the label prefers the expert, the policy's proposal, too, and the expert's
+    /// unless it was the applied action.
+    fn ask_of_all(&mut self, batch: &Batch, targets: &[f32], scale: [f32; ACTIONS]) {
+        let Questions {
+            actions,
+            counts,
+            aims,
+        } = self;
+        actions.clear();
+        counts.clear();
+        aims.clear();
+        let nothing = Aim {
+            value: 0.0,
+            weight: 0.0,
+        };
+        let of_preferred = |value: f32| Aim { value, weight: 1.0 };
+        for (k, &target) in targets.iter().enumerate() {
+            let own = k * ACTIONS..(k + 1) * ACTIONS;
+            let [applied, policy, expert] =
+                [&batch.applied, &batch.policy, &batch.expert].map(|all| &all[own.clone()]);
+            // While the expert drives, its proposal is applied, except during a hand-over, which
+            // limits the change of the command.
+            let is_preferred = batch.is_preferred[k] != 0.0;
+            let is_applied = is_preferred && applied == expert;
+            let begin = aims.len();
+            let mut ask = |action: &[f32], first: Aim, second: Aim| {
+                actions.extend(scaled(action, scale));
+                aims.push([first, second]);
+            };
+            let reached = Aim {
+                value: target,
+                weight: batch.is_known[k],
+            };
+            let bound = if is_applied {
+                of_preferred(VALUE_BOUND)
+            } else {
+                nothing
+            };
+            ask(applied, reached, bound);
+            if is_preferred {
+                ask(policy, of_preferred(-VALUE_BOUND), nothing);
+            }
+            if is_preferred && !is_applied {
+                ask(expert, of_preferred(VALUE_BOUND), nothing);
+            }
+            counts.push(aims.len() - begin);
+        }
+    }
+
+    /// The critics' input with these states.
+    fn about<'a>(&'a self, states: &'a [f32]) -> Groups<'a> {
+        Groups {
+            common: states,
+            own: &self.actions,
+            rows: &self.counts,
+        }
     }
 }
 
-/// The states of as many actions, one by one.
-fn rows<'a>(states: &'a [f32], actions: &[f32]) -> std::slice::ChunksExact<'a, f32> {
-    let count = (actions.len() / ACTIONS).max(1);
-    states.chunks_exact((states.len() / count).max(1))
-}
-
-/// Adds a row of a state and an action times `scale`.
-fn add(out: &mut Vec<f32>, state: &[f32], action: &[f32], scale: [f32; ACTIONS]) {
-    out.extend_from_slice(state);
-    out.extend(
-        action
-            .iter()
-            .zip(scale)
-            .map(|(action, scale)| action * scale),
-    );
-}
-
-/// Whether the applied action is the expert's proposal. While the expert drives it is,
-/// except during a hand-over, which limits the change of the command.
-fn is_experts(batch: &Batch, row: usize) -> bool {
-    let action = row * ACTIONS..(row + 1) * ACTIONS;
-    batch.applied[action.clone()] == batch.expert[action]
-}
-
-/// Where the label prefers the expert: each state with the policy's proposal, and with
-/// the expert's proposal unless the applied action, which has its own term, is that
-/// proposal; and the value that each pair should have.
-fn join_preferences(
-    batch: &Batch,
-    scale: [f32; ACTIONS],
-    out: &mut Vec<f32>,
-    bounds: &mut Vec<f32>,
-) {
-    out.clear();
-    bounds.clear();
-    for (k, state) in rows(&batch.states, &batch.policy).enumerate() {
-        if batch.is_preferred[k] == 0.0 {
-            continue;
-        }
-        let action = k * ACTIONS..(k + 1) * ACTIONS;
-        add(out, state, &batch.policy[action.clone()], scale);
-        bounds.push(-VALUE_BOUND);
-        if !is_experts(batch, k) {
-            add(out, state, &batch.expert[action], scale);
-            bounds.push(VALUE_BOUND);
-        }
-    }
+/// Actions, or the gradients of such, times this.
+fn scaled(actions: &[f32], scale: [f32; ACTIONS]) -> impl Iterator<Item = f32> {
+    let factors = scale.into_iter().cycle();
+    actions
+        .iter()
+        .zip(factors)
+        .map(|(action, factor)| action * factor)
 }
 
 /// A normally distributed number (Box and Muller).

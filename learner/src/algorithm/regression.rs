@@ -107,7 +107,7 @@ impl Imitator {
         also: impl FnOnce(&[f32], &Batch, &mut [f32]) -> f32,
     ) -> Losses {
         let Workspace { batch, tape, delta } = &mut self.workspace;
-        replay.sample(buffers, self.size.batch, random, batch);
+        replay.sample(buffers, self.size.batch, random, threads, batch);
         if batch.is_empty() {
             return Losses::default();
         }
@@ -116,7 +116,7 @@ impl Imitator {
         let imitation = imitate(actions, &batch.expert, delta);
         let other = also(actions, batch, delta);
         let pass = (&batch.states[..], &delta[..]);
-        let gradient = Some(&mut self.actor.gradient[..]);
+        let gradient = Some(&mut self.actor.gradient);
         network.backward(pass, threads, tape, gradient, None);
         let average = (&mut self.average, 1.0 / AVERAGED);
         self.actor.step(threads, Some(average));

@@ -2,7 +2,7 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::message::{FEATURES, Preference};
 
-use super::{Pvp, Settings};
+use super::{Aim, Pvp, Questions, Settings};
 use crate::Rate;
 use crate::algorithm::{Learned, Size};
 use crate::replay::{ACTIONS, INPUTS, Replay, Then, Transition};
@@ -60,7 +60,7 @@ fn drawn(seed: u64) -> Pvp {
         ..Settings::published(Rate::constant(1e-3))
     };
     let mut pvp = Pvp::new(settings, size, &mut random);
-    replay.sample_evenly(size.batch, &mut random, &mut pvp.workspace.batch);
+    replay.sample_evenly(size.batch, &mut random, 1, &mut pvp.workspace.batch);
     pvp.targets(&mut random, 1);
     pvp
 }
@@ -162,27 +162,57 @@ fn an_eased_hand_over_is_judged_by_what_the_expert_proposed() {
         then: Then::Unknown,
     };
     replay.push(transition.buffer(), transition);
-    replay.sample_evenly(8, &mut random, &mut pvp.workspace.batch);
-    let (mut rows, mut bounds) = (Vec::new(), Vec::new());
-    super::join_preferences(&pvp.workspace.batch, [1.0; 2], &mut rows, &mut bounds);
-    let pedals = rows
-        .chunks_exact(FEATURES + ACTIONS)
-        .map(|row| row[FEATURES + 1]);
-    let judged: Vec<_> = pedals.zip(bounds).collect();
-    assert_eq!(judged, [(0.9, -1.0), (-0.6, 1.0)].repeat(8));
+    replay.sample_evenly(8, &mut random, 1, &mut pvp.workspace.batch);
+    let (mut questions, targets) = (Questions::default(), [0.5; 8]);
+    questions.ask_of_all(&pvp.workspace.batch, &targets, [1.0; 2]);
+    let pedals = questions.actions.chunks_exact(ACTIONS).map(|pair| pair[1]);
+    let asked: Vec<_> = pedals.zip(questions.aims).collect();
+    let aim = |value: f32, weight: f32| Aim { value, weight };
+    // What followed is not known, so that the applied action has no value to reach.
+    let nothing = aim(0.0, 0.0);
+    let expected = [
+        (0.6, [aim(0.5, 0.0), nothing]),
+        (0.9, [aim(-1.0, 1.0), nothing]),
+        (-0.6, [aim(1.0, 1.0), nothing]),
+    ];
+    assert_eq!(asked, expected.repeat(8));
+    assert_eq!(questions.counts, [3; 8]);
     // The actor imitates the expert's proposal too.
     let states = pvp.workspace.batch.states.clone();
     let mut tape = crate::network::Tape::default();
     let action = pvp.actor.network.forward(&states[..FEATURES], 1, &mut tape);
     let off = (action[1] + 0.6).powi(2);
     let steer: f32 = pvp.settings.imitation_steer * action[0].powi(2);
-    replay.sample_evenly(1, &mut random, &mut pvp.workspace.batch);
+    replay.sample_evenly(1, &mut random, 1, &mut pvp.workspace.batch);
     pvp.workspace.batch.states = states[..FEATURES].to_vec();
     let imitation = pvp.actor_loss(1).imitation;
     assert!(
         (imitation - 0.5 * (off + steer)).abs() < 1e-3,
         "{imitation}"
     );
+}
+
+#[test]
+fn an_applied_proposal_is_asked_about_once_and_has_two_aims() {
+    let mut pvp = drawn(7);
+    let batch = &mut pvp.workspace.batch;
+    batch.applied[..4].copy_from_slice(&[0.5, 0.6, 0.1, 0.2]);
+    batch.policy[..4].copy_from_slice(&[-0.5, 0.4, 0.1, 0.2]);
+    batch.expert[..4].copy_from_slice(&[0.5, 0.6, 0.3, 0.3]);
+    batch.is_preferred[..2].copy_from_slice(&[1.0, 0.0]);
+    batch.is_known[..2].copy_from_slice(&[1.0, 1.0]);
+    let mut questions = Questions::default();
+    questions.ask_of_all(batch, &[0.25, 0.75], [2.0, 10.0]);
+    let aim = |value: f32, weight: f32| Aim { value, weight };
+    assert_eq!(questions.counts, [2, 1]);
+    assert_eq!(questions.actions, [1.0, 6.0, -1.0, 4.0, 0.2, 2.0]);
+    let nothing = aim(0.0, 0.0);
+    let expected = [
+        [aim(0.25, 1.0), aim(1.0, 1.0)],
+        [aim(-1.0, 1.0), nothing],
+        [aim(0.75, 1.0), nothing],
+    ];
+    assert_eq!(questions.aims, expected);
 }
 
 #[test]
