@@ -148,7 +148,12 @@ pub(crate) struct Buckets {
     rows: usize,
     groups: Vec<Group, GROUPS_MAX>,
     blocks: Vec<Block, BLOCKS_MAX>,
+    /// From where the buckets are measured; not a number when a node has been added since.
+    measured: Point,
 }
+
+/// From nowhere.
+const UNMEASURED: Point = Point::new(f64::NAN, f64::NAN);
 
 impl Buckets {
     pub(crate) const fn new() -> Self {
@@ -159,6 +164,7 @@ impl Buckets {
             rows: 0,
             groups: Vec::new(),
             blocks: Vec::new(),
+            measured: UNMEASURED,
         }
     }
 
@@ -180,6 +186,7 @@ impl Buckets {
             false => Vector::zeros(),
         };
         (self.columns, self.rows) = (columns, rows);
+        self.measured = UNMEASURED;
         self.blocks.clear();
         self.groups.clear();
         for _ in 0..(columns * rows).div_ceil(LANES) {
@@ -199,6 +206,7 @@ impl Buckets {
 
     /// Adds a node; its slot, or `None` when there are too many.
     pub(crate) fn push(&mut self, index: u16, point_body: Point, cost_m: f64) -> Option<u16> {
+        self.measured = UNMEASURED;
         let bucket = self.bucket_at(point_body);
         let (group, lane) = (&mut self.groups[bucket / LANES], bucket % LANES);
         if usize::from(group.filled[lane]) == LANES {
@@ -253,9 +261,14 @@ impl Buckets {
         }
     }
 
-    /// Measures how far a point is from each bucket.
+    /// Measures how far a point is from each bucket. A sample near the tree is measured for its
+    /// nearest node, and is then the point for which a parent is chosen.
     #[inline(always)]
     pub(crate) fn measure(&mut self, point_body: Point) {
+        if point_body == self.measured {
+            return;
+        }
+        self.measured = point_body;
         for group in &mut self.groups {
             group.measure(point_body);
         }
