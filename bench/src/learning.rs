@@ -432,7 +432,7 @@ fn print(results: &LearnerResults) {
         None => {}
     }
     say(format_args!(
-        "2 x {HIDDEN} neurons, {} s each, alternating after a warm-up, no real-time priority, {}, {}; products alone: only the matrix products of such an update, an upper limit for every program that uses this library",
+        "2 x {HIDDEN} neurons, {} s each, alternating after a warm-up, no real-time priority, {}, {}; products alone: only the matrix products of such an update, an upper limit for an update with these products",
         results.seconds, results.torch, results.conditions
     ));
 }

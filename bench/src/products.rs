@@ -1,5 +1,5 @@
-//! The matrix products of an update and nothing else: an upper limit for every
-//! program that uses the same library.
+//! The matrix products of an update and nothing else: an upper limit for an
+//! update with these products.
 
 use learner::matrix::{Old, View, product};
 use learner::network::ROWS;
@@ -38,13 +38,13 @@ pub struct Buffers {
 impl Buffers {
     /// Allocates buffers for these passes.
     pub fn new(passes: &[Pass]) -> Buffers {
-        let rows = passes.iter().map(|pass| pass.rows).max().unwrap_or(0);
+        let groups = passes.iter().map(|pass| pass.groups).max().unwrap_or(0);
         let widest = passes.iter().flat_map(|pass| pass.sizes).max().unwrap_or(0);
         let part = passes.iter().map(|pass| pass.rows_of_part()).max();
         let most = widest * widest.max(part.unwrap_or(0));
         Buffers {
             operands: vec![0.5; most],
-            results: vec![vec![0.0; most]; rows.div_ceil(ROWS)],
+            results: vec![vec![0.0; most]; groups.div_ceil(ROWS)],
         }
     }
 
@@ -57,7 +57,7 @@ impl Buffers {
             let parts = begins.zip(&mut self.results);
             share(threads, parts, |(begin, result)| {
                 let groups = ROWS.min(pass.groups - begin);
-                let rows = pass.rows_of_part().min(groups * pass.rows / pass.groups);
+                let rows = groups * pass.rows / pass.groups;
                 multiply_rows(pass, (groups, rows), operands, result);
             });
         }
@@ -78,7 +78,10 @@ fn multiply_rows(
         let after = &mut result[..rows(k) * outputs];
         product(after, Old::Replace, before, weights.transposed());
     }
-    for (k, (inputs, outputs)) in layers.enumerate().filter(|_| pass.backward) {
+    if !pass.backward {
+        return;
+    }
+    for (k, (inputs, outputs)) in layers.enumerate() {
         let deltas = view(rows(k), outputs);
         if pass.weights {
             let slopes = &mut result[..outputs * inputs];

@@ -26,6 +26,17 @@ pub struct Groups<'a> {
     pub rows: &'a [usize],
 }
 
+/// Memory for the first layer's passes over groups.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Workspace {
+    /// Of each group the products of what its rows have in common, or the sum of the gradients
+    /// of its rows, `groups x sums`.
+    groups: Vec<f32>,
+    /// The weights of the rows' own numbers, or their gradients, `own x sums`: so the numbers of
+    /// an inner loop follow one another.
+    own: Vec<f32>,
+}
+
 impl<'a, T: AsRef<[f32]> + ?Sized> From<&'a T> for Input<'a> {
     fn from(rows: &'a T) -> Self {
         Input::Rows(rows.as_ref())
@@ -48,13 +59,14 @@ impl<'a> Input<'a> {
         self,
         count: usize,
         inputs: usize,
-    ) -> impl ExactSizeIterator<Item = (Input<'a>, Range<usize>)> + Send {
-        if let Input::Groups(groups) = self {
-            groups.check(inputs);
-        }
+    ) -> impl ExactSizeIterator<Item = (Input<'a>, Range<usize>)> + DoubleEndedIterator + Clone + Send
+    {
         let groups = match self {
             Input::Rows(rows) => rows.len().div_ceil(inputs),
-            Input::Groups(groups) => groups.rows.len(),
+            Input::Groups(groups) => {
+                groups.check(inputs);
+                groups.rows.len()
+            }
         };
         (0..groups.div_ceil(count)).map(move |part| {
             let range = part * count..groups.min((part + 1) * count);
@@ -81,95 +93,135 @@ impl<'a> Input<'a> {
             Input::Groups(_) => panic!("a convolution takes no groups of rows"),
         }
     }
+
+    /// Writes the products of a layer, `rows x sums`, with its weights, `sums x inputs`.
+    pub(crate) fn products(self, weights: View, workspace: &mut Workspace, out: &mut Vec<f32>) {
+        let (sums, inputs) = weights.size();
+        match self {
+            Input::Rows(rows) => {
+                let rows = View::new(rows, rows.len() / inputs, inputs);
+                out.resize(rows.size().0 * sums, 0.0);
+                product(out, Old::Replace, rows, weights.transposed());
+            }
+            Input::Groups(groups) => groups.products(weights, workspace, out),
+        }
+    }
+
+    /// Writes the gradient of the weights, `sums x inputs`, from that of the sums, `rows x sums`.
+    pub(crate) fn slopes(
+        self,
+        (delta, sums): (&[f32], usize),
+        workspace: &mut Workspace,
+        out: &mut [f32],
+    ) {
+        let inputs = out.len() / sums;
+        match self {
+            Input::Rows(rows) => {
+                let count = delta.len() / sums;
+                let delta = View::new(delta, count, sums).transposed();
+                product(out, Old::Replace, delta, View::new(rows, count, inputs));
+            }
+            Input::Groups(groups) => groups.slopes((delta, sums), workspace, (out, inputs)),
+        }
+    }
+
+    /// Writes the gradient of the rows, `rows x inputs`, or of the numbers that each row of a
+    /// group has of its own, `rows x own`, from that of the sums, `rows x sums`.
+    pub(crate) fn own_slopes(self, delta: View, weights: View, out: &mut Vec<f32>) {
+        let weights = match self {
+            Input::Rows(_) => weights,
+            Input::Groups(groups) => weights.columns(groups.common_len()..weights.size().1),
+        };
+        out.resize(delta.size().0 * weights.size().1, 0.0);
+        product(out, Old::Replace, delta, weights);
+    }
 }
 
 impl<'a> Groups<'a> {
-    /// Numbers with which each group begins.
-    fn begins(&self) -> usize {
+    /// How many numbers the rows of a group have in common.
+    fn common_len(&self) -> usize {
         self.common.len() / self.rows.len().max(1)
     }
 
     fn check(&self, inputs: usize) {
-        let begins = self.begins();
+        let common = self.common_len();
         let rows: usize = self.rows.iter().sum();
-        let fits = begins <= inputs
-            && self.common.len() == begins * self.rows.len()
-            && self.own.len() == rows * (inputs - begins);
+        let fits = common <= inputs
+            && self.common.len() == common * self.rows.len()
+            && self.own.len() == rows * (inputs - common);
         assert!(fits, "groups of rows of another size");
     }
 
     /// These of the groups, and which rows they are.
     fn part(self, range: Range<usize>, inputs: usize) -> (Groups<'a>, Range<usize>) {
-        let begins = self.begins();
-        let own = inputs - begins;
+        let common = self.common_len();
+        let own = inputs - common;
         let start: usize = self.rows[..range.start].iter().sum();
         let end = start + self.rows[range.clone()].iter().sum::<usize>();
         let part = Groups {
-            common: &self.common[range.start * begins..range.end * begins],
+            common: &self.common[range.start * common..range.end * common],
             own: &self.own[start * own..end * own],
             rows: &self.rows[range],
         };
         (part, start..end)
     }
 
-    /// The numbers that only one row has, `rows x own`, and which of the inputs they are.
-    fn own(&self, inputs: usize) -> (View<'a>, Range<usize>) {
-        let range = self.begins()..inputs;
-        let rows = self.rows.iter().sum();
-        (View::new(self.own, rows, range.len()), range)
-    }
-
-    /// Writes the products of a layer, `rows x sums`, with weights of `sums x inputs`; `each` is a
-    /// workspace.
-    pub(crate) fn forward(&self, weights: View, each: &mut Vec<f32>, out: &mut Vec<f32>) {
+    fn products(&self, weights: View, workspace: &mut Workspace, out: &mut Vec<f32>) {
         let (sums, inputs) = weights.size();
-        each.resize(self.rows.len() * sums, 0.0);
-        let common = View::new(self.common, self.rows.len(), self.begins());
-        let of_common = weights.columns(0..self.begins()).transposed();
-        product(each, Old::Replace, common, of_common);
-        let (own, range) = self.own(inputs);
-        out.resize(own.size().0 * sums, 0.0);
-        product(out, Old::Replace, own, weights.columns(range).transposed());
-        let mut rows = out.chunks_exact_mut(sums);
-        for (each, count) in each.chunks_exact(sums).zip(self.rows) {
-            for row in rows.by_ref().take(*count) {
-                add(row, each);
+        let Workspace { groups, own } = workspace;
+        groups.resize(self.rows.len() * sums, 0.0);
+        let common = View::new(self.common, self.rows.len(), self.common_len());
+        let of_common = weights.columns(0..self.common_len()).transposed();
+        product(groups, Old::Replace, common, of_common);
+        weights
+            .columns(self.common_len()..inputs)
+            .write_columns(own);
+        out.clear();
+        let mut numbers = self.own.iter();
+        for (products, rows) in groups.chunks_exact(sums).zip(self.rows) {
+            for _ in 0..*rows {
+                let begin = out.len();
+                out.extend_from_slice(products);
+                for (weights, number) in own.chunks_exact(sums).zip(&mut numbers) {
+                    add_times(&mut out[begin..], weights, *number);
+                }
             }
         }
     }
 
-    /// Writes the gradient of the weights from that of the sums, `rows x sums`; `each` is a
-    /// workspace.
-    pub(crate) fn slopes(
+    fn slopes(
         &self,
         (delta, sums): (&[f32], usize),
-        each: &mut Vec<f32>,
-        (slopes, inputs): (&mut [f32], usize),
+        workspace: &mut Workspace,
+        (out, inputs): (&mut [f32], usize),
     ) {
-        each.clear();
-        let mut rows = delta.chunks_exact(sums);
-        for &count in self.rows {
-            let begin = each.len();
-            each.resize(begin + sums, 0.0);
-            for row in rows.by_ref().take(count) {
-                add(&mut each[begin..], row);
+        let Workspace { groups, own } = workspace;
+        groups.clear();
+        groups.resize(self.rows.len() * sums, 0.0);
+        own.clear();
+        own.resize((inputs - self.common_len()) * sums, 0.0);
+        let (mut deltas, mut numbers) = (delta.chunks_exact(sums), self.own.iter());
+        for (group, rows) in groups.chunks_exact_mut(sums).zip(self.rows) {
+            for delta in deltas.by_ref().take(*rows) {
+                add(group, delta);
+                for (slopes, number) in own.chunks_exact_mut(sums).zip(&mut numbers) {
+                    add_times(slopes, delta, *number);
+                }
             }
         }
-        let each = View::new(each, self.rows.len(), sums).transposed();
-        let common = View::new(self.common, self.rows.len(), self.begins());
-        let of_common = ViewMut::new(slopes, sums, inputs).columns(0..self.begins());
-        product_into(of_common, Old::Replace, each, common);
-        let (own, range) = self.own(inputs);
-        let of_own = ViewMut::new(slopes, sums, inputs).columns(range);
-        let delta = View::new(delta, own.size().0, sums).transposed();
-        product_into(of_own, Old::Replace, delta, own);
+        let groups = View::new(groups, self.rows.len(), sums).transposed();
+        let common = View::new(self.common, self.rows.len(), self.common_len());
+        let of_common = ViewMut::new(out, sums, inputs).columns(0..self.common_len());
+        product_into(of_common, Old::Replace, groups, common);
+        for (k, slopes) in own.chunks_exact(sums).enumerate() {
+            let column = out.iter_mut().skip(self.common_len() + k).step_by(inputs);
+            column.zip(slopes).for_each(|(out, slope)| *out = *slope);
+        }
     }
+}
 
-    /// Writes the gradient of the rows' own numbers, `rows x own`, from that of the sums.
-    pub(crate) fn own_slopes(&self, delta: View, weights: View, out: &mut Vec<f32>) {
-        let (own, range) = self.own(weights.size().1);
-        let (rows, columns) = own.size();
-        out.resize(rows * columns, 0.0);
-        product(out, Old::Replace, delta, weights.columns(range));
-    }
+/// Adds numbers times a factor to these.
+fn add_times(sums: &mut [f32], numbers: &[f32], factor: f32) {
+    let pairs = sums.iter_mut().zip(numbers);
+    pairs.for_each(|(sum, number)| *sum += factor * number);
 }

@@ -48,6 +48,16 @@ impl<'a> View<'a> {
         }
     }
 
+    /// Writes its numbers column by column.
+    pub fn write_columns(&self, out: &mut Vec<f32>) {
+        out.clear();
+        for column in 0..self.columns {
+            let begin = column * self.column_stride;
+            let at = (0..self.rows).map(|row| begin + row * self.row_stride);
+            out.extend(at.map(|at| self.data[at]));
+        }
+    }
+
     /// The transposed matrix, on the same numbers.
     pub fn transposed(self) -> Self {
         Self {

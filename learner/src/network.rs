@@ -7,12 +7,13 @@
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
-use crate::input::Input;
-use crate::matrix::{Old, View, product};
+use crate::input::{Input, Workspace};
+use crate::matrix::View;
 use crate::share::share;
 use crate::windows::{Seen, Windows};
 
-/// Rows of a batch, or groups of rows, that one thread processes at a time. Neither the parts nor the sums
+/// Rows of a batch, or groups of rows such as a state with its actions, that one thread
+/// processes at a time. Neither the parts nor the sums
 /// over them depend on the number of threads, so the result is the same, bit by bit,
 /// for any number.
 pub const ROWS: usize = 128;
@@ -153,9 +154,7 @@ struct Part {
     gradient: Vec<f32>,
     /// What the convolutions have seen, by layer.
     seen: Vec<Seen>,
-    /// Of each group of rows what the first layer makes of what they have in common, or the sum
-    /// of its gradients, `groups x outputs`.
-    common: Vec<f32>,
+    workspace: Workspace,
 }
 
 impl Network {
@@ -293,16 +292,7 @@ impl Network {
                 windows.forward((input.rows(), layer.inputs), weights, seen, output);
                 continue;
             }
-            let weights = self.weights(layer);
-            match input {
-                Input::Groups(groups) => groups.forward(weights, &mut part.common, output),
-                Input::Rows(rows) => {
-                    let count = rows.len() / layer.inputs;
-                    output.resize(count * layer.outputs, 0.0);
-                    let rows = View::new(rows, count, layer.inputs);
-                    product(output, Old::Replace, rows, weights.transposed());
-                }
-            }
+            input.products(self.weights(layer), &mut part.workspace, output);
             let bias = &self.parameters[layer.bias()];
             match (k + 1 == self.layers.len(), self.head) {
                 (false, _) => finish(output, bias, |sum| sum.max(0.0)),
@@ -335,6 +325,12 @@ impl Network {
         input_gradient: Option<&mut Vec<f32>>,
     ) {
         let inputs = inputs.into().parts(ROWS, self.inputs());
+        let rows = inputs.clone().next_back().map_or(0, |(_, rows)| rows.end);
+        assert_eq!(
+            delta.len(),
+            rows * self.outputs(),
+            "gradients of other rows"
+        );
         let parts = &mut tape.parts[..inputs.len()];
         let wanted = (gradient.is_some(), input_gradient.is_some());
         let work = inputs.zip(&mut *parts);
@@ -347,12 +343,9 @@ impl Network {
             gradient.resize(self.parameters.len(), 0.0);
             let chunks = gradient.chunks_mut(CHUNK).enumerate();
             share(threads, chunks, |(chunk, slopes)| {
-                let of_parts = parts.iter().map(|part| &part.gradient[chunk * CHUNK..]);
-                for (k, of_part) in of_parts.enumerate() {
-                    match k {
-                        0 => slopes.copy_from_slice(&of_part[..slopes.len()]),
-                        _ => add(slopes, of_part),
-                    }
+                slopes.fill(0.0);
+                for part in parts {
+                    add(slopes, &part.gradient[chunk * CHUNK..]);
                 }
             });
         }
@@ -409,23 +402,14 @@ impl Network {
                     }
                 }
             }
-            let deltas = View::new(delta_here, rows, layer.outputs);
             let input = match k {
                 0 => inputs,
                 _ => Input::Rows(&part.activations[k - 1]),
             };
             if wants_gradient {
                 let slopes = &mut part.gradient[layer.weights()];
-                match input {
-                    Input::Groups(groups) => {
-                        let delta = (&delta_here[..], layer.sums);
-                        groups.slopes(delta, &mut part.common, (slopes, layer.inputs));
-                    }
-                    Input::Rows(input) => {
-                        let input = View::new(input, rows, layer.inputs);
-                        product(slopes, Old::Replace, deltas.transposed(), input);
-                    }
-                }
+                let delta = (&delta_here[..], layer.sums);
+                input.slopes(delta, &mut part.workspace, slopes);
                 let bias = &mut part.gradient[layer.bias()];
                 bias.fill(0.0);
                 let rows = delta_here.chunks_exact(layer.outputs);
@@ -434,15 +418,8 @@ impl Network {
             if !wants_before {
                 break;
             }
-            match input {
-                Input::Groups(groups) => {
-                    groups.own_slopes(deltas, self.weights(layer), delta_before);
-                }
-                Input::Rows(_) => {
-                    delta_before.resize(rows * layer.inputs, 0.0);
-                    product(delta_before, Old::Replace, deltas, self.weights(layer));
-                }
-            }
+            let deltas = View::new(delta_here, rows, layer.outputs);
+            input.own_slopes(deltas, self.weights(layer), delta_before);
             std::mem::swap(delta_here, delta_before);
         }
     }

@@ -149,9 +149,9 @@ impl Batch {
         self.is_known.clear();
     }
 
-    /// Appends what is not a state of a transition, as recorded or mirrored.
-    fn push(&mut self, drawn: &Drawn) {
-        let Drawn {
+    /// Appends all of a transition but its states, as recorded or mirrored.
+    fn push(&mut self, drawn: &Draw) {
+        let Draw {
             transition,
             reflection,
         } = drawn;
@@ -176,14 +176,14 @@ impl Batch {
 
 /// A transition that was drawn for a batch.
 #[derive(Clone, Copy)]
-struct Drawn<'a> {
+struct Draw<'a> {
     transition: &'a Transition,
     reflection: Reflection,
 }
 
-impl Drawn<'_> {
-    fn draw<'a>(transition: &'a Transition, random: &mut impl Rng) -> Drawn<'a> {
-        Drawn {
+impl<'a> Draw<'a> {
+    fn of(transition: &'a Transition, random: &mut impl Rng) -> Self {
+        Draw {
             transition,
             reflection: Reflection::draw(random),
         }
@@ -193,7 +193,7 @@ impl Drawn<'_> {
 /// Writes states of drawn transitions, `rows x inputs`, as the networks take them.
 fn write_states(
     states: &mut Vec<f32>,
-    (drawn, inputs): (&[Drawn], usize),
+    (drawn, inputs): (&[Draw], usize),
     threads: usize,
     state: impl Fn(&Transition) -> &[f32; INPUTS] + Sync,
 ) {
@@ -292,7 +292,7 @@ impl Replay {
         for &buffer in buffers.iter().cycle().take(size) {
             let held = &self.buffers[buffer as usize];
             let transition = &held[random.random_range(0..held.len())];
-            drawn.push(Drawn::draw(transition, random));
+            drawn.push(Draw::of(transition, random));
         }
         self.write(&drawn, threads, batch);
         let drawn = (&drawn[..], self.inputs);
@@ -321,7 +321,7 @@ impl Replay {
             for &buffer in buffers {
                 match self.buffers[buffer as usize].get(k) {
                     Some(transition) => {
-                        drawn.push(Drawn::draw(transition, random));
+                        drawn.push(Draw::of(transition, random));
                         break;
                     }
                     None => k -= self.len(buffer),
@@ -331,7 +331,8 @@ impl Replay {
         self.write(&drawn, threads, batch);
     }
 
-    fn write(&self, drawn: &[Drawn], threads: usize, batch: &mut Batch) {
+    /// Fills a batch, except for what followed.
+    fn write(&self, drawn: &[Draw], threads: usize, batch: &mut Batch) {
         drawn.iter().for_each(|drawn| batch.push(drawn));
         let drawn = (drawn, self.inputs);
         write_states(&mut batch.states, drawn, threads, |held| &held.state);

@@ -229,16 +229,18 @@ fn a_tape_may_be_used_again_for_a_batch_of_another_size() {
     assert_eq!(gradient, expected);
 }
 
-/// Groups of rows of a network without convolutions: two numbers in common, three of their own.
+/// Groups of rows of a network without convolutions.
 struct Grouped {
     case: Case,
+    /// Numbers that the rows of a group have in common.
+    begin: usize,
     common: Vec<f32>,
     own: Vec<f32>,
     rows: Vec<usize>,
 }
 
 impl Grouped {
-    fn new(groups: usize) -> Grouped {
+    fn new(groups: usize, begin: usize) -> Grouped {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(4);
         // Some groups have no row at all.
         let rows: Vec<usize> = (0..groups).map(|k| [1, 3, 0, 2][k % 4]).collect();
@@ -247,8 +249,9 @@ impl Grouped {
             (0..count).map(|_| random.random_range(-1.0..1.0)).collect()
         };
         Grouped {
-            common: numbers(groups * 2),
-            own: numbers(batch * 3),
+            begin,
+            common: numbers(groups * begin),
+            own: numbers(batch * (SIZES[0] - begin)),
             case: Case::of(Head::Tanh, 2, batch),
             rows,
         }
@@ -264,11 +267,14 @@ impl Grouped {
 
     /// The same rows without groups.
     fn plain(&self) -> Vec<f32> {
-        let common = self.common.chunks(2).zip(&self.rows);
-        let common = common.flat_map(|(common, rows)| vec![common; *rows]);
-        let rows = common.zip(self.own.chunks(3));
-        rows.flat_map(|(common, own)| [common, own].concat())
-            .collect()
+        let (begin, own) = (self.begin, SIZES[0] - self.begin);
+        let groups = self.rows.iter().enumerate();
+        let groups = groups.flat_map(|(group, rows)| vec![group; *rows]);
+        let rows = groups.enumerate().map(|(row, group)| {
+            let common = &self.common[group * begin..(group + 1) * begin];
+            [common, &self.own[row * own..(row + 1) * own]].concat()
+        });
+        rows.flatten().collect()
     }
 
     /// Outputs, gradients of the parameters, and of the inputs.
@@ -286,12 +292,12 @@ impl Grouped {
 
 #[test]
 fn groups_of_rows_have_the_outputs_and_gradients_of_their_rows() {
-    // In one part, and in several.
-    for groups in [1, 9, 2 * ROWS + 5] {
-        let grouped = Grouped::new(groups);
+    // In one part, and in several; with nothing in common, and with nothing else.
+    for (groups, begin) in [(1, 2), (9, 0), (9, 2), (9, 5), (2 * ROWS + 5, 3)] {
+        let grouped = Grouped::new(groups, begin);
         let [outputs, gradient, of_own] = grouped.pass(grouped.groups(), 1);
         let [plain_outputs, plain_gradient, of_inputs] = grouped.pass(&grouped.plain(), 1);
-        let of_plain = of_inputs.chunks(SIZES[0]).flat_map(|row| &row[2..]);
+        let of_plain = of_inputs.chunks(SIZES[0]).flat_map(|row| &row[begin..]);
         let pairs = outputs.iter().zip(&plain_outputs);
         let pairs = pairs.chain(gradient.iter().zip(&plain_gradient));
         assert_eq!(of_own.len(), grouped.own.len());
@@ -304,7 +310,7 @@ fn groups_of_rows_have_the_outputs_and_gradients_of_their_rows() {
 
 #[test]
 fn any_number_of_threads_gives_groups_the_same_gradients_to_the_last_bit() {
-    let grouped = Grouped::new(5 * ROWS + 3);
+    let grouped = Grouped::new(5 * ROWS + 3, 2);
     let one = grouped.pass(grouped.groups(), 1);
     for threads in [0, 2, 3] {
         let more = grouped.pass(grouped.groups(), threads);
@@ -313,9 +319,47 @@ fn any_number_of_threads_gives_groups_the_same_gradients_to_the_last_bit() {
 }
 
 #[test]
+fn a_pass_back_over_no_rows_writes_zeros() {
+    let case = Case::new(Head::Tanh, 2);
+    let mut tape = Tape::default();
+    assert!(case.network.forward(&[], 1, &mut tape).is_empty());
+    let (mut gradient, mut of_inputs) = (vec![7.0; 3], vec![7.0]);
+    let wanted = (Some(&mut gradient), Some(&mut of_inputs));
+    let nothing: [f32; 0] = [];
+    case.network
+        .backward((&nothing, &[]), 1, &mut tape, wanted.0, wanted.1);
+    assert_eq!(gradient, vec![0.0; case.network.parameters().len()]);
+    assert!(of_inputs.is_empty());
+}
+
+#[test]
+#[should_panic(expected = "gradients of other rows")]
+fn gradients_of_more_rows_than_there_are_are_refused() {
+    let case = Case::new(Head::Tanh, 2);
+    let mut tape = Tape::default();
+    case.network.forward(&case.inputs, 1, &mut tape);
+    let weights = [&case.weights[..], &case.weights].concat();
+    let pass = (&case.inputs, &weights[..]);
+    case.network
+        .backward(pass, 1, &mut tape, Some(&mut Vec::new()), None);
+}
+
+#[test]
+#[should_panic(expected = "a convolution takes no groups of rows")]
+fn a_convolution_refuses_groups() {
+    let case = Case::new(Head::Tanh, 1);
+    let groups = Groups {
+        common: &[0.5; 2],
+        own: &[0.5; 3],
+        rows: &[1],
+    };
+    case.network.forward(groups, 1, &mut Tape::default());
+}
+
+#[test]
 #[should_panic(expected = "groups of rows of another size")]
 fn groups_with_a_row_too_few_are_refused() {
-    let grouped = Grouped::new(9);
+    let grouped = Grouped::new(9, 2);
     let own = &grouped.own[3..];
     let groups = Groups {
         own,

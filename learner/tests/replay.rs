@@ -1,16 +1,23 @@
 //! Tests of the replay buffers: what they hold, what they drop, and what is drawn from
 //! them.
 
+use learner::features::prepare;
 use learner::replay::{ACTIONS, Batch, Buffer, INPUTS, Replay, Then, Transition};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use shm_config::message::Preference;
+use shm_config::message::{FEATURES, Preference};
 
-/// A transition that is identified by its pedal, which mirroring leaves unchanged.
+/// The index of the speed, which mirroring leaves unchanged.
+const SPEED: usize = 3;
+
+/// A transition that is identified by its pedal, which mirroring leaves unchanged, and by a
+/// number of its states that it leaves unchanged, too.
 fn numbered(number: u32, label: Preference) -> Transition {
+    let (mut state, mut next) = ([0.5; INPUTS], [0.5; INPUTS]);
+    (state[SPEED], next[SPEED]) = (number as f32, number as f32 + 0.5);
     Transition {
-        state: [0.5; INPUTS],
-        next: [0.5; INPUTS],
+        state,
+        next,
         applied: [0.1, number as f32],
         policy: [0.2, number as f32],
         expert: [0.3, number as f32],
@@ -163,6 +170,27 @@ fn any_number_of_threads_draws_the_same() {
         let [mut evenly, mut all] = [(); 2].map(|()| Batch::default());
         replay.sample_evenly(301, &mut random, threads, &mut evenly);
         replay.sample(&Buffer::ALL, 301, &mut random, threads, &mut all);
+        for (batch, has_nexts) in [(&evenly, true), (&all, false)] {
+            let numbers = drawn(batch);
+            let speeds = |rows: &[f32]| -> Vec<f32> {
+                rows.iter().skip(SPEED).step_by(FEATURES).copied().collect()
+            };
+            let prepared = |later: f32| -> Vec<f32> {
+                let speed = |number: &u32| {
+                    let mut row = [0.5; FEATURES];
+                    row[SPEED] = *number as f32 + later;
+                    prepare(&mut row);
+                    row[SPEED]
+                };
+                numbers.iter().map(speed).collect()
+            };
+            assert_eq!(speeds(&batch.states), prepared(0.0), "{threads} threads");
+            let nexts = if has_nexts { prepared(0.5) } else { Vec::new() };
+            assert_eq!(speeds(&batch.nexts), nexts, "{threads} threads");
+        }
+        // In turn, and the odd one is the learner's.
+        let is_experts = drawn(&evenly).into_iter().map(|number| number % 2 == 0);
+        assert!(is_experts.enumerate().all(|(k, is)| is == (k % 2 == 1)));
         [evenly.states, evenly.nexts, evenly.expert, all.states]
     };
     let one = draw(1);

@@ -152,7 +152,7 @@ pub(crate) struct Buckets {
     measured: Point,
 }
 
-/// From nowhere.
+/// Equals no point, not even itself.
 const UNMEASURED: Point = Point::new(f64::NAN, f64::NAN);
 
 impl Buckets {
@@ -261,8 +261,9 @@ impl Buckets {
         }
     }
 
-    /// Measures how far a point is from each bucket. A sample near the tree is measured for its
-    /// nearest node, and is then the point for which a parent is chosen.
+    /// Measures how far a point is from each bucket; does nothing for the point that was measured
+    /// last if no node was added since. A sample near the tree is measured for its nearest node,
+    /// and is then the point for which a parent is chosen.
     #[inline(always)]
     pub(crate) fn measure(&mut self, point_body: Point) {
         if point_body == self.measured {

@@ -72,7 +72,7 @@ pub struct Learned {
     pub network: Network,
     /// Its optimiser.
     pub adam: Adam,
-    /// That of the last backward pass.
+    /// The gradient of the last backward pass; not stored.
     #[serde(skip)]
     gradient: Vec<f32>,
 }
@@ -96,6 +96,8 @@ impl Learned {
     /// Takes one step of the optimiser against the gradient. A follower, a network of the same
     /// sizes, then moves towards this one by a share ([`follow`]).
     fn step(&mut self, threads: usize, follower: Option<(&mut Network, f32)>) {
+        let count = self.network.parameters().len();
+        assert_eq!(self.gradient.len(), count, "a step without a backward pass");
         let parameters = self.network.parameters_mut().chunks_mut(CHUNK);
         let parts = self.adam.begin_step(CHUNK).zip(parameters);
         let parts = parts.zip(self.gradient.chunks(CHUNK));

@@ -81,27 +81,27 @@ struct Workspace {
     tape: Tape,
     critic_tape: Tape,
     actions: Vec<f32>,
-    /// What the critics are asked.
-    questions: Questions,
+    valued: StateActions,
     values: Vec<f32>,
     delta: Vec<f32>,
     gradient: Vec<f32>,
 }
 
-/// Actions that the critics value, `actions x ACTIONS`, times their scale, state by state.
+/// Actions of states, which the critics value.
 #[derive(Clone, Debug, Default)]
-struct Questions {
+struct StateActions {
+    /// Times the critics' scale, state by state, `actions x ACTIONS`.
     actions: Vec<f32>,
-    /// How many actions there are of each state.
+    /// How many actions each state has.
     counts: Vec<usize>,
-    /// The values that each action should have, and how much its distance from each counts.
-    aims: Vec<[Aim; 2]>,
+    /// The terms of the critics' loss, of each action; empty outside of it.
+    terms: Vec<[Term; 2]>,
 }
 
-/// A value that an action should have.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Aim {
-    value: f32,
+/// A term of the critics' loss: `weight (Q - target)^2`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Term {
+    target: f32,
     weight: f32,
 }
 
@@ -136,7 +136,7 @@ impl Pvp {
             batch,
             tape,
             actions,
-            questions,
+            valued,
             values,
             ..
         } = &mut self.workspace;
@@ -146,8 +146,8 @@ impl Pvp {
             let noise = normal(random).clamp(-TARGET_NOISE_CLIP, TARGET_NOISE_CLIP);
             *action = (*action + self.settings.target_noise * noise).clamp(-1.0, 1.0);
         }
-        questions.ask_of_each(actions, self.settings.critic_scale);
-        let inputs = questions.about(&batch.nexts);
+        valued.one_each(actions, self.settings.critic_scale);
+        let inputs = valued.about(&batch.nexts);
         values.clear();
         values.extend_from_slice(self.critic_targets[0].forward(inputs, threads, tape));
         let second = self.critic_targets[1].forward(inputs, threads, tape);
@@ -162,20 +162,20 @@ impl Pvp {
         let Workspace {
             batch,
             critic_tape,
-            questions,
+            valued,
             values,
             delta,
             ..
         } = &mut self.workspace;
-        questions.ask_of_all(batch, values, self.settings.critic_scale);
-        let inputs = questions.about(&batch.states);
+        valued.of_loss(batch, values, self.settings.critic_scale);
+        let inputs = valued.about(&batch.states);
         let share = 1.0 / batch.len() as f32;
         let mut loss = 0.0;
         for critic in &mut self.critics {
             let values = critic.network.forward(inputs, threads, critic_tape);
             delta.clear();
-            for (value, aims) in values.iter().zip(&questions.aims) {
-                let errors = aims.map(|aim| (share * aim.weight, value - aim.value));
+            for (value, terms) in values.iter().zip(&valued.terms) {
+                let errors = terms.map(|term| (share * term.weight, value - term.target));
                 loss += errors
                     .map(|(weight, error)| weight * error * error)
                     .iter()
@@ -200,7 +200,7 @@ impl Pvp {
             tape,
             critic_tape,
             actions,
-            questions,
+            valued,
             delta,
             gradient: action_gradient,
             ..
@@ -209,8 +209,8 @@ impl Pvp {
         actions.clear();
         actions.extend_from_slice(self.actor.network.forward(&batch.states, threads, tape));
         let scale = self.settings.critic_scale;
-        questions.ask_of_each(actions, scale);
-        let inputs = questions.about(&batch.states);
+        valued.one_each(actions, scale);
+        let inputs = valued.about(&batch.states);
         let critic = &self.critics[0].network;
         let values = critic.forward(inputs, threads, critic_tape);
         let value = values.iter().sum::<f32>() * share;
@@ -293,63 +293,55 @@ impl Pvp {
     }
 }
 
-impl Questions {
+impl StateActions {
     /// One action of each state, `states x ACTIONS`.
-    fn ask_of_each(&mut self, actions: &[f32], scale: [f32; ACTIONS]) {
+    fn one_each(&mut self, actions: &[f32], scale: [f32; ACTIONS]) {
         self.actions.clear();
         self.actions.extend(scaled(actions, scale));
         self.counts.clear();
         self.counts.resize(actions.len() / ACTIONS, 1);
+        self.terms.clear();
     }
 
-    /// Of each state the applied action, which should have the value of `targets` and, where
-    /// the label prefers the expert and it is the expert's proposal, the value of a preferred
-    /// action. Where the label prefers the expert, the policy's proposal, too, and the expert's
-    /// unless it was the applied action.
-    fn ask_of_all(&mut self, batch: &Batch, targets: &[f32], scale: [f32; ACTIONS]) {
-        let Questions {
-            actions,
-            counts,
-            aims,
-        } = self;
-        actions.clear();
-        counts.clear();
-        aims.clear();
-        let nothing = Aim {
-            value: 0.0,
-            weight: 0.0,
+    /// The actions of the critics' loss, with the targets of the applied ones. Where the label
+    /// prefers the expert, the applied action is one that it prefers if it is the expert's
+    /// proposal; otherwise that proposal comes separately. While the expert drives, its proposal
+    /// is applied, except during a hand-over, which limits the change of the command.
+    fn of_loss(&mut self, batch: &Batch, targets: &[f32], scale: [f32; ACTIONS]) {
+        self.actions.clear();
+        self.counts.clear();
+        self.terms.clear();
+        let certain = |target: f32| Term {
+            target,
+            weight: 1.0,
         };
-        let of_preferred = |value: f32| Aim { value, weight: 1.0 };
         for (k, &target) in targets.iter().enumerate() {
             let own = k * ACTIONS..(k + 1) * ACTIONS;
             let [applied, policy, expert] =
                 [&batch.applied, &batch.policy, &batch.expert].map(|all| &all[own.clone()]);
-            // While the expert drives, its proposal is applied, except during a hand-over, which
-            // limits the change of the command.
             let is_preferred = batch.is_preferred[k] != 0.0;
             let is_applied = is_preferred && applied == expert;
-            let begin = aims.len();
-            let mut ask = |action: &[f32], first: Aim, second: Aim| {
-                actions.extend(scaled(action, scale));
-                aims.push([first, second]);
+            let begin = self.terms.len();
+            let mut value = |action: &[f32], terms: [Term; 2]| {
+                self.actions.extend(scaled(action, scale));
+                self.terms.push(terms);
             };
-            let reached = Aim {
-                value: target,
+            let temporal_difference = Term {
+                target,
                 weight: batch.is_known[k],
             };
-            let bound = if is_applied {
-                of_preferred(VALUE_BOUND)
-            } else {
-                nothing
+            let preference = match is_applied {
+                true => certain(VALUE_BOUND),
+                false => Term::default(),
             };
-            ask(applied, reached, bound);
+            value(applied, [temporal_difference, preference]);
             if is_preferred {
-                ask(policy, of_preferred(-VALUE_BOUND), nothing);
+                value(policy, [certain(-VALUE_BOUND), Term::default()]);
             }
             if is_preferred && !is_applied {
-                ask(expert, of_preferred(VALUE_BOUND), nothing);
+                value(expert, [certain(VALUE_BOUND), Term::default()]);
             }
-            counts.push(aims.len() - begin);
+            self.counts.push(self.terms.len() - begin);
         }
     }
 

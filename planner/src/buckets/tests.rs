@@ -162,6 +162,23 @@ fn a_place_that_is_no_number_has_the_first_node_infinitely_far_away() {
 }
 
 #[test]
+fn a_node_added_after_a_measurement_is_found() {
+    let near = Point::new(1.0, 1.0);
+    let node = Node {
+        point: Point::new(14.0, 2.0),
+        cost_m: 0.0,
+    };
+    for wanted in [0, 200, 2000] {
+        let (mut buckets, _) = filled(&[node], wanted);
+        let all = |_: f64, _: f64| true;
+        let reach = Reach::of_all(1.0);
+        assert_eq!(found((&mut buckets, near, reach), all), []);
+        buckets.push(1, near, 3.0).expect("room");
+        assert_eq!(found((&mut buckets, near, reach), all), [(1, 0)]);
+    }
+}
+
+#[test]
 fn as_many_nodes_as_a_tree_has_fit_however_they_lie() {
     let most = shm_config::settings::planner::NODES_MAX;
     for spread_m in [0.0, 0.01, 20.0] {

@@ -2,7 +2,7 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::message::{FEATURES, Preference};
 
-use super::{Aim, Pvp, Questions, Settings};
+use super::{Pvp, Settings, StateActions, Term, VALUE_BOUND};
 use crate::Rate;
 use crate::algorithm::{Learned, Size};
 use crate::replay::{ACTIONS, INPUTS, Replay, Then, Transition};
@@ -163,20 +163,20 @@ fn an_eased_hand_over_is_judged_by_what_the_expert_proposed() {
     };
     replay.push(transition.buffer(), transition);
     replay.sample_evenly(8, &mut random, 1, &mut pvp.workspace.batch);
-    let (mut questions, targets) = (Questions::default(), [0.5; 8]);
-    questions.ask_of_all(&pvp.workspace.batch, &targets, [1.0; 2]);
-    let pedals = questions.actions.chunks_exact(ACTIONS).map(|pair| pair[1]);
-    let asked: Vec<_> = pedals.zip(questions.aims).collect();
-    let aim = |value: f32, weight: f32| Aim { value, weight };
+    let (mut valued, targets) = (StateActions::default(), [0.5; 8]);
+    valued.of_loss(&pvp.workspace.batch, &targets, [1.0; 2]);
+    let pedals = valued.actions.chunks_exact(ACTIONS).map(|pair| pair[1]);
+    let asked: Vec<_> = pedals.zip(valued.terms).collect();
+    let term = |target: f32, weight: f32| Term { target, weight };
     // What followed is not known, so that the applied action has no value to reach.
-    let nothing = aim(0.0, 0.0);
+    let nothing = term(0.0, 0.0);
     let expected = [
-        (0.6, [aim(0.5, 0.0), nothing]),
-        (0.9, [aim(-1.0, 1.0), nothing]),
-        (-0.6, [aim(1.0, 1.0), nothing]),
+        (0.6, [term(0.5, 0.0), nothing]),
+        (0.9, [term(-1.0, 1.0), nothing]),
+        (-0.6, [term(1.0, 1.0), nothing]),
     ];
     assert_eq!(asked, expected.repeat(8));
-    assert_eq!(questions.counts, [3; 8]);
+    assert_eq!(valued.counts, [3; 8]);
     // The actor imitates the expert's proposal too.
     let states = pvp.workspace.batch.states.clone();
     let mut tape = crate::network::Tape::default();
@@ -193,7 +193,7 @@ fn an_eased_hand_over_is_judged_by_what_the_expert_proposed() {
 }
 
 #[test]
-fn an_applied_proposal_is_asked_about_once_and_has_two_aims() {
+fn an_applied_proposal_is_valued_once_and_has_two_terms() {
     let mut pvp = drawn(7);
     let batch = &mut pvp.workspace.batch;
     batch.applied[..4].copy_from_slice(&[0.5, 0.6, 0.1, 0.2]);
@@ -201,18 +201,46 @@ fn an_applied_proposal_is_asked_about_once_and_has_two_aims() {
     batch.expert[..4].copy_from_slice(&[0.5, 0.6, 0.3, 0.3]);
     batch.is_preferred[..2].copy_from_slice(&[1.0, 0.0]);
     batch.is_known[..2].copy_from_slice(&[1.0, 1.0]);
-    let mut questions = Questions::default();
-    questions.ask_of_all(batch, &[0.25, 0.75], [2.0, 10.0]);
-    let aim = |value: f32, weight: f32| Aim { value, weight };
-    assert_eq!(questions.counts, [2, 1]);
-    assert_eq!(questions.actions, [1.0, 6.0, -1.0, 4.0, 0.2, 2.0]);
-    let nothing = aim(0.0, 0.0);
+    let mut valued = StateActions::default();
+    valued.of_loss(batch, &[0.25, 0.75], [2.0, 10.0]);
+    let term = |target: f32, weight: f32| Term { target, weight };
+    assert_eq!(valued.counts, [2, 1]);
+    assert_eq!(valued.actions, [1.0, 6.0, -1.0, 4.0, 0.2, 2.0]);
+    let nothing = term(0.0, 0.0);
     let expected = [
-        [aim(0.25, 1.0), aim(1.0, 1.0)],
-        [aim(-1.0, 1.0), nothing],
-        [aim(0.75, 1.0), nothing],
+        [term(0.25, 1.0), term(1.0, 1.0)],
+        [term(-1.0, 1.0), nothing],
+        [term(0.75, 1.0), nothing],
     ];
-    assert_eq!(questions.aims, expected);
+    assert_eq!(valued.terms, expected);
+}
+
+#[test]
+fn the_critics_loss_is_the_mean_over_the_batch_of_its_terms() {
+    let mut pvp = drawn(11);
+    let loss = pvp.critic_loss(1);
+    let (batch, scale) = (&pvp.workspace.batch, pvp.settings.critic_scale);
+    let mut expected = 0.0;
+    for critic in &pvp.critics {
+        for k in 0..batch.len() {
+            let value = |actions: &[f32]| {
+                let state = &batch.states[k * FEATURES..(k + 1) * FEATURES];
+                let action = &actions[k * ACTIONS..(k + 1) * ACTIONS];
+                let scaled = [action[0] * scale[0], action[1] * scale[1]];
+                let mut tape = crate::network::Tape::default();
+                critic
+                    .network
+                    .forward(&[state, &scaled].concat(), 1, &mut tape)[0]
+            };
+            let target = pvp.workspace.values[k];
+            expected += batch.is_known[k] * (value(&batch.applied) - target).powi(2);
+            let of_preference = (value(&batch.expert) - VALUE_BOUND).powi(2)
+                + (value(&batch.policy) + VALUE_BOUND).powi(2);
+            expected += batch.is_preferred[k] * of_preference;
+        }
+    }
+    expected /= batch.len() as f32;
+    assert!((loss / expected - 1.0).abs() < 1e-4, "{loss}, {expected}");
 }
 
 #[test]
