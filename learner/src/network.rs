@@ -343,10 +343,12 @@ impl Network {
             gradient.resize(self.parameters.len(), 0.0);
             let chunks = gradient.chunks_mut(CHUNK).enumerate();
             share(threads, chunks, |(chunk, slopes)| {
-                slopes.fill(0.0);
-                for part in parts {
-                    add(slopes, &part.gradient[chunk * CHUNK..]);
+                let mut of_parts = parts.iter().map(|part| &part.gradient[chunk * CHUNK..]);
+                match of_parts.next() {
+                    Some(first) => slopes.copy_from_slice(&first[..slopes.len()]),
+                    None => slopes.fill(0.0),
                 }
+                of_parts.for_each(|of_part| add(slopes, of_part));
             });
         }
         if let Some(input_gradient) = input_gradient {

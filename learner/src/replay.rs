@@ -138,9 +138,8 @@ impl Batch {
         self.goes_on.is_empty()
     }
 
+    /// Clears all but the states, whose rows are overwritten.
     fn clear(&mut self) {
-        self.states.clear();
-        self.nexts.clear();
         self.applied.clear();
         self.policy.clear();
         self.expert.clear();
@@ -282,7 +281,7 @@ impl Replay {
     ) {
         batch.clear();
         let buffers: &[Buffer] = match (self.len(Buffer::Expert), self.len(Buffer::Learner)) {
-            (0, 0) => return,
+            (0, 0) => &[],
             (_, 0) => &[Buffer::Expert],
             (0, _) => &[Buffer::Learner],
             // In turn, so that threads that share a batch have as many rows of either.
@@ -312,9 +311,7 @@ impl Replay {
     ) {
         batch.clear();
         let total: usize = buffers.iter().map(|&buffer| self.len(buffer)).sum();
-        if total == 0 {
-            return;
-        }
+        let size = if total == 0 { 0 } else { size };
         let mut drawn = Vec::with_capacity(size);
         for _ in 0..size {
             let mut k = random.random_range(0..total);
@@ -329,6 +326,7 @@ impl Replay {
             }
         }
         self.write(&drawn, threads, batch);
+        batch.nexts.clear();
     }
 
     /// Fills a batch, except for what followed.
