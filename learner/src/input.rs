@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::matrix::{Old, View, ViewMut, product, product_into};
+use crate::matrix::{Old, View, product, product_into};
 use crate::network::add;
 
 /// The input of a batch.
@@ -211,8 +211,7 @@ impl<'a> Groups<'a> {
         }
         let groups = View::new(groups, self.rows.len(), sums).transposed();
         let common = View::new(self.common, self.rows.len(), self.common_len());
-        let of_common = ViewMut::new(out, sums, inputs).columns(0..self.common_len());
-        product_into(of_common, Old::Replace, groups, common);
+        product_into((out, inputs), Old::Replace, groups, common);
         for (k, slopes) in own.chunks_exact(sums).enumerate() {
             let column = out.iter_mut().skip(self.common_len() + k).step_by(inputs);
             column.zip(slopes).for_each(|(out, slope)| *out = *slope);

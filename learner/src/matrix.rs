@@ -79,69 +79,31 @@ pub enum Old {
     Add,
 }
 
-/// A matrix to write to, row by row, or some columns of one.
-pub struct ViewMut<'a> {
-    data: &'a mut [f32],
-    rows: usize,
-    columns: usize,
-    row_stride: usize,
-}
-
-impl<'a> ViewMut<'a> {
-    /// A matrix whose rows follow one another.
-    ///
-    /// # Panics
-    /// When the slice has another length.
-    pub fn new(data: &'a mut [f32], rows: usize, columns: usize) -> Self {
-        assert_eq!(data.len(), rows * columns, "a matrix of another size");
-        Self {
-            data,
-            rows,
-            columns,
-            row_stride: columns,
-        }
-    }
-
-    /// Some of its columns, on the same numbers.
-    ///
-    /// # Panics
-    /// When it has fewer.
-    pub fn columns(self, range: Range<usize>) -> Self {
-        assert!(range.end <= self.columns, "columns of a narrower matrix");
-        let begin = range.start.min(self.data.len());
-        Self {
-            data: &mut self.data[begin..],
-            columns: range.len(),
-            ..self
-        }
-    }
-}
-
 /// `out = a b`, or `out += a b`, on the calling thread; the rows of `out` follow one
 /// another.
 ///
 /// # Panics
 /// When the sizes do not fit.
 pub fn product(out: &mut [f32], old: Old, a: View, b: View) {
-    product_into(ViewMut::new(out, a.rows, b.columns), old, a, b);
+    product_into((out, b.columns), old, a, b);
 }
 
-/// The same where `out` may be some columns of a matrix.
+/// The same into the first columns of a matrix whose rows have so many numbers.
 ///
 /// # Panics
 /// When the sizes do not fit.
-pub fn product_into(out: ViewMut, old: Old, a: View, b: View) {
+pub fn product_into((out, row_stride): (&mut [f32], usize), old: Old, a: View, b: View) {
     assert_eq!(a.columns, b.rows, "inner sizes differ");
-    let size = (out.rows, out.columns);
-    assert_eq!(size, (a.rows, b.columns), "a result of another size");
+    assert_eq!(out.len(), a.rows * row_stride, "a result of another size");
+    assert!(b.columns <= row_stride, "columns of a narrower matrix");
     // The kernel wants an output whose columns follow one another. Rows that do are the
     // columns of the transposed product: transpose(a b) = transpose(b) transpose(a).
-    let (a, b, row_stride, column_stride) = match out.columns {
-        0 | 1 => (a, b, out.row_stride, 1),
-        _ => (b.transposed(), a.transposed(), 1, out.row_stride),
+    let (a, b, row_stride, column_stride) = match b.columns {
+        0 | 1 => (a, b, row_stride, 1),
+        _ => (b.transposed(), a.transposed(), 1, row_stride),
     };
-    // SAFETY: `new`, `columns` and `transposed` of both views keep every (row, column)
-    // within the slice, the asserts above keep the sizes equal, and `out` is borrowed
+    // SAFETY: `new`, `columns` and `transposed` keep every (row, column) within the slice,
+    // the asserts above keep those of the result within `out`, and `out` is borrowed
     // mutably, so nothing else reads or writes it.
     #[allow(unsafe_code)]
     unsafe {
@@ -149,7 +111,7 @@ pub fn product_into(out: ViewMut, old: Old, a: View, b: View) {
             a.rows,
             b.columns,
             a.columns,
-            out.data.as_mut_ptr(),
+            out.as_mut_ptr(),
             column_stride as isize,
             row_stride as isize,
             old == Old::Add,

@@ -131,6 +131,27 @@ fn nothing_is_drawn_from_empty_buffers() {
 }
 
 #[test]
+fn of_an_earlier_batch_nothing_is_left() {
+    let mut replay = Replay::new(10);
+    replay.push(Buffer::Expert, numbered(7, Preference::Expert));
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
+    let mut batch = Batch::default();
+    replay.sample_evenly(8, &mut random, 1, &mut batch);
+    assert_eq!(batch.nexts.len(), 8 * FEATURES);
+    replay.sample(&Buffer::ALL, 3, &mut random, 1, &mut batch);
+    assert_eq!((batch.states.len(), batch.nexts.len()), (3 * FEATURES, 0));
+    let empty = Replay::new(10);
+    for evenly in [true, false] {
+        replay.sample_evenly(8, &mut random, 1, &mut batch);
+        match evenly {
+            true => empty.sample_evenly(8, &mut random, 1, &mut batch),
+            false => empty.sample(&Buffer::ALL, 8, &mut random, 1, &mut batch),
+        }
+        assert!(batch.is_empty() && batch.states.is_empty() && batch.nexts.is_empty());
+    }
+}
+
+#[test]
 fn buffers_are_sampled_in_proportion_to_their_sizes() {
     let mut replay = Replay::new(1000);
     for number in 0..300 {

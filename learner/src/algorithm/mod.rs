@@ -209,6 +209,13 @@ mod tests {
     use super::*;
     use crate::network::Tape;
 
+    #[test]
+    #[should_panic(expected = "a step without a backward pass")]
+    fn a_step_needs_a_gradient() {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
+        Learned::new(&[3, 2], Head::Linear, Rate::constant(1e-3), &mut random).step(1, None);
+    }
+
     /// With more parameters than one thread takes at a time, and more rows than one part has.
     #[test]
     fn any_number_of_threads_steps_to_the_same_bits() {
