@@ -38,6 +38,10 @@ const _: () = assert!(
     BLOCKS_MAX * LANES < NONE as usize,
     "a slot's index is a u16"
 );
+const _: () = assert!(
+    BUCKETS_MAX <= u64::BITS as usize,
+    "a mask has a bit for each"
+);
 
 /// The rectangle that most nodes are in, and how many there will be.
 #[derive(Debug, Clone, Copy)]
@@ -129,8 +133,18 @@ impl Nearest {
 pub(crate) struct Via {
     /// Its length from the start, m.
     pub(crate) cost_m: f64,
-    /// Of the node.
+    /// Of the node; -1 for none.
     pub(crate) index: f64,
+}
+
+impl Via {
+    /// A way of this length, m, which comes before the ways of the same length through nodes.
+    pub(crate) const fn unnamed(cost_m: f64) -> Self {
+        Self {
+            cost_m,
+            index: -1.0,
+        }
+    }
 }
 
 /// The shortest way through the nodes in each lane, of equals the first.
@@ -275,6 +289,17 @@ impl Buckets {
         }
     }
 
+    /// A bit for each bucket for which something holds. All are asked before any is visited: the
+    /// processor does not foresee of which group a bucket is visited.
+    #[inline(always)]
+    fn those(&self, holds: impl Fn(&Group, usize) -> bool) -> u64 {
+        let mut bits = 0;
+        for (at, group) in self.groups.iter().enumerate() {
+            bits |= mask(core::array::from_fn(|lane| holds(group, lane))) << (at * LANES);
+        }
+        bits
+    }
+
     /// The node nearest to a point and its squared distance, m²; of equals the first.
     #[inline(always)]
     pub(crate) fn nearest(&mut self, point_body: Point) -> (usize, f64) {
@@ -345,35 +370,37 @@ impl Buckets {
         }
     }
 
-    /// The node through which the way to the point that was measured is shortest: shorter than
-    /// a limit, m, longer than the way through another node, and within a radius, m. Of equals
-    /// the first, and the other one is before those equal to it.
+    /// The shortest way to the point that was measured through a node within a radius, m: of
+    /// equals through the first. It comes before the way that is known, or is that if this goes
+    /// through a node, too; and it comes after another way.
     #[inline(always)]
     pub(crate) fn cheapest_via(
         &self,
         point_body: Point,
-        (limit_m, radius_m): (f64, f64),
+        radius_m: f64,
+        known: Via,
         after: Option<Via>,
     ) -> Option<Via> {
         let after = after.unwrap_or(Via {
             cost_m: f64::NEG_INFINITY,
             index: 0.0,
         });
-        let reach = Reach::of_parents(limit_m, radius_m);
-        // Nothing has this index, so nothing that costs the limit is before it.
+        let reach = Reach::of_parents(known.cost_m, radius_m);
         let mut best = Best {
-            cost_m: [limit_m; LANES],
-            index: [-1.0; LANES],
+            cost_m: [known.cost_m; LANES],
+            index: [known.index; LANES],
         };
-        for group in &self.groups {
-            let near = |lane| group.squares[lane] <= reach.square(group.least_m[lane]);
-            let mut near = mask(core::array::from_fn(near));
-            while let Some(lane) = take_lowest(&mut near) {
-                let mut at = group.first[lane];
-                while let Some(block) = self.blocks.get(usize::from(at)) {
+        let mut near =
+            self.those(|group, lane| group.squares[lane] <= reach.square(group.least_m[lane]));
+        while let Some(bucket) = take_lowest(&mut near) {
+            let mut at = self.groups[bucket / LANES].first[bucket % LANES];
+            while let Some(block) = self.blocks.get(usize::from(at)) {
+                let squares = block.squares(point_body);
+                let is_near = |lane: usize| squares[lane] <= reach.square(block.cost_m[lane]);
+                if mask(core::array::from_fn(is_near)) != 0 {
                     best.take(block, point_body, radius_m * radius_m, &after);
-                    at = block.next;
                 }
+                at = block.next;
             }
         }
         let cost_m = least_of(&best.cost_m);
@@ -394,13 +421,12 @@ impl Buckets {
         reach: Reach,
         mut found: impl FnMut(Found),
     ) {
-        for group in &mut self.groups {
-            let near = |lane| group.squares[lane] <= reach.square(group.most_m[lane]);
-            let mut near = mask(core::array::from_fn(near));
-            while let Some(lane) = take_lowest(&mut near) {
-                let first = group.first[lane];
-                group.most_m[lane] = each_in(&self.blocks, first, point_body, &reach, &mut found);
-            }
+        let mut near =
+            self.those(|group, lane| group.squares[lane] <= reach.square(group.most_m[lane]));
+        while let Some(bucket) = take_lowest(&mut near) {
+            let (group, lane) = (&mut self.groups[bucket / LANES], bucket % LANES);
+            let first = group.first[lane];
+            group.most_m[lane] = each_in(&self.blocks, first, point_body, &reach, &mut found);
         }
     }
 }

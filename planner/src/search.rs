@@ -6,7 +6,7 @@ use vehicle::Float as _;
 use vehicle::Point;
 
 use crate::PlannerConfig;
-use crate::buckets::{Found, Reach, Spread};
+use crate::buckets::{Found, Reach, Spread, Via};
 use crate::grid::Grid;
 use crate::sampler::{Region, Sampler};
 use crate::tree::{Edge, Tree};
@@ -46,9 +46,7 @@ impl Search {
         // theorem 38 of Karaman and Frazzoli. Solovey et al. (2020, arXiv:1909.09688) show a gap
         // in its proof; with 4,096 nodes at most, no limit is reached.
         let area = (region.left_m - region.right_m) * region.x_max_m;
-        let asked_m = 2.0 * (1.5 * area.max(0.0) / PI).sqrt();
-        let whole_m = config.rewire_radius_m / thinning(config.shrink_after as usize);
-        self.gamma_m = asked_m.max(whole_m);
+        self.gamma_m = 2.0 * (1.5 * area.max(0.0) / PI).sqrt();
     }
 
     /// In which parents are chosen and edges rewired, m.
@@ -138,27 +136,25 @@ impl Search {
     /// The cheapest parent with a free edge. The nearest node, whose edge is
     /// known to be free, is the fallback; so only cheaper ones are looked at,
     /// the cheapest first, and most searches test a single edge. Of equals the first.
+    ///
+    /// An ancestor of the nearest node is often the cheapest, or nearly: as long as no
+    /// edge is blocked, only what is cheaper than that is looked at.
     #[inline(always)]
-    fn choose_parent(
-        &mut self,
-        grid: &Grid,
-        radius_m: f64,
-        point_body: Point,
-        nearest: Edge,
-    ) -> Edge {
-        let limit_m = self.tree.cost_m(nearest.parent) + nearest.length_m;
-        let limits_m = (limit_m, radius_m);
+    fn choose_parent(&self, grid: &Grid, radius_m: f64, point_body: Point, nearest: Edge) -> Edge {
+        let fallback = Via::unnamed(self.tree.cost_m(nearest.parent) + nearest.length_m);
+        let tree = &self.tree;
+        let mut known = tree.via_ancestor(nearest.parent, point_body, radius_m, fallback);
         let mut blocked = None;
-        while let Some(via) = self.tree.cheapest_via(point_body, limits_m, blocked) {
+        while let Some(via) = tree.cheapest_via(point_body, radius_m, known, blocked) {
             let parent = via.index as usize;
-            let parent_body = self.tree.point(parent);
+            let parent_body = tree.point(parent);
             if grid.is_segment_free(parent_body, point_body) {
                 return Edge {
                     parent,
                     length_m: (parent_body - point_body).norm_squared().sqrt(),
                 };
             }
-            blocked = Some(via);
+            (known, blocked) = (fallback, Some(via));
         }
         nearest
     }

@@ -136,10 +136,41 @@ impl Tree {
     pub(crate) fn cheapest_via(
         &self,
         point_body: Point,
-        limits_m: (f64, f64),
+        radius_m: f64,
+        known: Via,
         after: Option<Via>,
     ) -> Option<Via> {
-        self.buckets.cheapest_via(point_body, limits_m, after)
+        self.buckets
+            .cheapest_via(point_body, radius_m, known, after)
+    }
+
+    /// The shortest way to a point through an ancestor of a node, of those up to the first that
+    /// is farther away than a radius, m; or the way that is known if none is shorter.
+    #[inline(always)]
+    pub(crate) fn via_ancestor(
+        &self,
+        from: usize,
+        point_body: Point,
+        radius_m: f64,
+        mut known: Via,
+    ) -> Via {
+        let mut at = self.records[from].parent;
+        while at != NONE {
+            let record = &self.records[at as usize];
+            let square = (record.point_body - point_body).norm_squared();
+            if square > radius_m * radius_m {
+                break;
+            }
+            let cost_m = square.sqrt() + record.cost_m;
+            if cost_m < known.cost_m {
+                known = Via {
+                    cost_m,
+                    index: f64::from(at),
+                };
+            }
+            at = record.parent;
+        }
+        known
     }
 
     /// Calls a function with each node within reach of the point that was measured, and

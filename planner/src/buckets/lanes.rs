@@ -19,9 +19,9 @@ pub(super) fn mask(lanes: [bool; LANES]) -> u64 {
 /// The lowest bit of a mask, which is cleared.
 #[inline(always)]
 pub(super) fn take_lowest(mask: &mut u64) -> Option<usize> {
-    let lane = mask.trailing_zeros() as usize;
+    let lowest = mask.trailing_zeros();
     *mask &= mask.wrapping_sub(1);
-    (lane < LANES).then_some(lane)
+    (lowest < u64::BITS).then_some(lowest as usize)
 }
 
 /// The least of some numbers, by halves: a single running minimum would be a chain of

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use vehicle::Point;
 
-use super::{Buckets, Reach, Spread};
+use super::{Buckets, Reach, Spread, Via};
 
 /// Places and costs are multiples of this, m: many distances, and sums of a distance and a
 /// cost, are then equal to the last bit.
@@ -125,11 +125,19 @@ proptest! {
             let mut found_via = Vec::new();
             let mut after = None;
             buckets.measure(from);
-            while let Some(next) = buckets.cheapest_via(from, (at_m, radius_m), after) {
+            let limit = Via::unnamed(at_m);
+            while let Some(next) = buckets.cheapest_via(from, radius_m, limit, after) {
                 found_via.push((next.cost_m, next.index as u16));
                 after = Some(next);
             }
-            prop_assert_eq!(found_via, via);
+            prop_assert_eq!(&found_via, &via);
+            // Whichever of them is known, the first is found.
+            for &(cost_m, index) in &via {
+                let known = Via { cost_m, index: f64::from(index) };
+                let found = buckets.cheapest_via(from, radius_m, known, None);
+                let found = found.map(|found| (found.cost_m, found.index as u16));
+                prop_assert_eq!(found.as_ref(), via.first());
+            }
             let cheaper = |cost_m: f64, distance_m: f64| at_m + distance_m < cost_m;
             let reach = Reach::of_children(at_m, radius_m);
             prop_assert_eq!(found((&mut buckets, from, reach), cheaper), passing(scan, cheaper));

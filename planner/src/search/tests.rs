@@ -60,11 +60,9 @@ fn extend_plainly(
     let thin = |nodes: f64| (nodes.ln() / nodes).sqrt();
     let radius_m = config.rewire_radius_m;
     let radius_m = match tree.len() > config.shrink_after as usize {
-        true => radius_m.min(
-            thin(tree.len() as f64)
-                * (radius_m / thin(f64::from(config.shrink_after)))
-                    .max(2.0 * (1.5 * area / std::f64::consts::PI).sqrt()),
-        ),
+        true => {
+            radius_m.min(thin(tree.len() as f64) * 2.0 * (1.5 * area / std::f64::consts::PI).sqrt())
+        }
         false => radius_m,
     };
     let near: Vec<usize> = (0..tree.len())

@@ -283,12 +283,9 @@ pub fn slow_tree(
 /// The radius of `planner.rewire_radius_m` for a tree of some nodes, in a region of some m².
 fn radius_m(config: &PlannerConfig, nodes: usize, area: f64) -> f64 {
     let thin = |nodes: f64| (nodes.ln() / nodes).sqrt();
-    let whole_m = config.rewire_radius_m / thin(f64::from(config.shrink_after));
     let asked_m = 2.0 * (1.5 * area / std::f64::consts::PI).sqrt();
     match nodes > config.shrink_after as usize {
-        true => config
-            .rewire_radius_m
-            .min(asked_m.max(whole_m) * thin(nodes as f64)),
+        true => config.rewire_radius_m.min(asked_m * thin(nodes as f64)),
         false => config.rewire_radius_m,
     }
 }

@@ -57,10 +57,10 @@ pub struct Planner {
     pub step_m: f64,
     /// Radius in which parents are chosen and edges rewired, m: `r*`.
     pub rewire_radius_m: f64,
-    /// For rrt-star and informed: with more nodes than this the radius is at most `gamma`
-    /// times the square root of ln n / n, which is `rewire_radius_m` or more at this number.
-    /// The time of a plan then grows less than with the square of its iterations (Karaman and
-    /// Frazzoli, 2011, doi:10.1177/0278364911406761). The paper's radius is not reduced in
+    /// For rrt-star and informed: with more nodes than this the radius is at most
+    /// 2 sqrt(1.5 A / pi) sqrt(ln n / n), where A is the area of the samples and n the number of
+    /// nodes. The time of a plan then grows less than with the square of its iterations (Karaman
+    /// and Frazzoli, 2011, doi:10.1177/0278364911406761). The paper's radius is not reduced in
     /// its 200 iterations.
     pub shrink_after: u32,
     /// Radius of the goal ball, m: `r_goal`.
