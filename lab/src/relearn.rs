@@ -15,6 +15,7 @@ use stack::Clock;
 use supervisor::cli::failure::Failure;
 use supervisor::cli::parsers::whole;
 use supervisor::subcommand::{Output, Subcommand, say, settings};
+use toml::Table;
 
 use crate::fork::cannot;
 use crate::progress::Progress;
@@ -158,10 +159,7 @@ impl Relearn {
         for seed in seeds {
             told.push(changed(seed, &[])?.learner.motion);
         }
-        let is_said = self
-            .overrides
-            .iter()
-            .any(|key| key.trim_start().starts_with("learner.motion"));
+        let is_said = says_motion(&self.overrides);
         // The first training does not decide for those that were told more.
         let wants = config.learner.motion || (!is_said && told.contains(&true));
         if let Some((seed, _)) = seeds.iter().zip(told).find(|(_, told)| wants && !told) {
@@ -233,4 +231,28 @@ fn changed(seed: &Path, overrides: &[String]) -> anyhow::Result<Config> {
     let text = fs::read_to_string(&file).map_err(|error| name(error.into()))?;
     settings::changed(&text, &[]).map_err(name)?;
     settings::changed(&text, overrides)
+}
+
+/// Whether overrides decide on `learner.motion`, as a key of its own or in its section.
+fn says_motion(overrides: &[String]) -> bool {
+    overrides.iter().any(|text| {
+        let given: Table = text.parse().unwrap_or_default();
+        let section = given.get("learner");
+        section.is_some_and(|section| section.get("motion").is_some())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn overrides_decide_on_motion_by_key_or_section() {
+        let says = |text: &str| says_motion(&["learner.batch=64".into(), text.into()]);
+        assert!(says("learner.motion=false"));
+        assert!(says(" learner . motion = true"));
+        assert!(says("learner={motion=true}"));
+        assert!(!says("learner={batch=32}"));
+        assert!(!says("mpc.wary=false"));
+    }
 }

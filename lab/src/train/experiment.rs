@@ -2,7 +2,7 @@
 
 use std::fs::{self, File, TryLockError};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, absolute};
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ use super::results::seed_folders;
 use crate::sections::WAITS;
 use crate::shard::holds_shards;
 use crate::shard::merge::is_sharded;
-use supervisor::subcommand::settings::key;
+use supervisor::subcommand::settings::{self, key};
 
 /// File with the options of the experiment.
 const FILE: &str = "experiment.toml";
@@ -113,11 +113,28 @@ impl Experiment {
         if is_sharded(&out)? {
             return Err(holds_shards(&out));
         }
-        let asked = begun.clone().unwrap_or_default().asked(arguments, &out)?;
+        let mut asked = begun.clone().unwrap_or_default().asked(arguments, &out)?;
+        asked.keep_policy()?;
         if let Some(begun) = begun {
             begun.check_extends(&asked, &out)?;
         }
         Ok((asked, out))
+    }
+
+    /// Names the policy that drives first by its whole path, so that the experiment can be
+    /// resumed from another folder.
+    fn keep_policy(&mut self) -> anyhow::Result<()> {
+        let file = settings::config([self.config.as_deref(), None], &self.set)?
+            .policy
+            .file;
+        if file.is_empty() || Path::new(&file).is_absolute() {
+            return Ok(());
+        }
+        let whole = absolute(&file).with_context(|| file.clone())?;
+        let whole = toml::Value::from(whole.to_str().context("no UTF-8")?);
+        self.set.retain(|held| key(held) != "policy.file");
+        self.set.push(format!("policy.file={whole}"));
+        Ok(())
     }
 
     /// The requested experiment for a part in this folder; no file is changed.
@@ -436,6 +453,26 @@ mod tests {
         let words = ["--resume", "--set", "learner.updates=30"];
         let other = open(&out, &words).expect("the note tells of no configuration");
         assert_eq!(other.set, ["learner.hidden=32", "learner.updates=30"]);
+    }
+
+    #[test]
+    fn the_policy_that_drives_first_is_found_from_another_folder() {
+        let place = tempfile::tempdir().expect("a folder");
+        let (out, file) = (place.path().join("out"), place.path().join("own.toml"));
+        fs::write(&file, "[policy]\nfile = \"first.onnx\"\n").expect("a file");
+        let here = std::env::current_dir().expect("a folder");
+        let kept = |name| {
+            let whole = toml::Value::from(here.join(name).to_str().expect("UTF-8"));
+            [format!("policy.file={whole}")]
+        };
+        let by_file = ["--config", file.to_str().expect("UTF-8")];
+        assert_eq!(open(&out, &by_file).expect("one").set, kept("first.onnx"));
+        let by_key = ["--set", "policy.file=a b.onnx"];
+        let begun = open(&out, &by_key).expect("one");
+        assert_eq!(begun.set, kept("a b.onnx"));
+        let _lock = lock(&out).expect("the folder");
+        begun.write(&out).expect("a note");
+        assert_eq!(open(&out, &["--resume"]).expect("the same").set, begun.set);
     }
 
     #[test]
