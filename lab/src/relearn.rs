@@ -233,12 +233,15 @@ fn changed(seed: &Path, overrides: &[String]) -> anyhow::Result<Config> {
     settings::changed(&text, overrides)
 }
 
-/// Whether overrides decide on `learner.motion`, as a key of its own or in its section.
+/// Whether overrides decide on `learner.motion`: as a key of its own, or with the section, since
+/// a whole section sets all its keys.
 fn says_motion(overrides: &[String]) -> bool {
     overrides.iter().any(|text| {
         let given: Table = text.parse().unwrap_or_default();
         let section = given.get("learner");
-        section.is_some_and(|section| section.get("motion").is_some())
+        section.is_some_and(|section| {
+            settings::key(text) == "learner" || section.get("motion").is_some()
+        })
     })
 }
 
@@ -250,9 +253,10 @@ mod tests {
     fn overrides_decide_on_motion_by_key_or_section() {
         let says = |text: &str| says_motion(&["learner.batch=64".into(), text.into()]);
         assert!(says("learner.motion=false"));
-        assert!(says(" learner . motion = true"));
+        assert!(says(" learner.motion = true"));
         assert!(says("learner={motion=true}"));
-        assert!(!says("learner={batch=32}"));
+        assert!(says("learner={batch=32}"));
+        assert!(!says("learner.batch=32"));
         assert!(!says("mpc.wary=false"));
     }
 }

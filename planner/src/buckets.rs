@@ -71,7 +71,7 @@ pub(crate) struct Reach {
 }
 
 impl Reach {
-    /// Of nodes through which the way may be shorter than this, m.
+    /// Of nodes through which the way may be at most this long, m.
     fn of_parents(limit_m: f64, radius_m: f64) -> Self {
         Self {
             sign: -1.0,
@@ -138,7 +138,7 @@ pub(crate) struct Via {
 }
 
 impl Via {
-    /// A way of this length, m, which comes before the ways of the same length through nodes.
+    /// A limit, m: a way through no node, which comes before ways of its length through nodes.
     pub(crate) const fn unnamed(cost_m: f64) -> Self {
         Self {
             cost_m,
@@ -289,8 +289,8 @@ impl Buckets {
         }
     }
 
-    /// A bit for each bucket for which something holds. All are asked before any is visited: the
-    /// processor does not foresee of which group a bucket is visited.
+    /// A bit for each bucket for which something holds. One loop then visits the buckets of all
+    /// groups; of a loop in each group the processor would not foresee the end.
     #[inline(always)]
     fn those(&self, holds: impl Fn(&Group, usize) -> bool) -> u64 {
         let mut bits = 0;
@@ -370,9 +370,9 @@ impl Buckets {
         }
     }
 
-    /// The shortest way to the point that was measured through a node within a radius, m: of
-    /// equals through the first. It comes before the way that is known, or is that if this goes
-    /// through a node, too; and it comes after another way.
+    /// The first way, by length and then by index, of the known one, if it goes through a node,
+    /// and of those through nodes within a radius, m, to the point that was measured. A way that
+    /// is given as `after`, and all before it, do not count; then the known one is a limit.
     #[inline(always)]
     pub(crate) fn cheapest_via(
         &self,

@@ -42,8 +42,9 @@ impl Search {
             nodes: config.iterations,
         };
         self.tree.restart(Point::origin(), &spread);
-        // 2 (1 + 1/d)^(1/d) (A / zeta_d)^(1/d) for d = 2: the square root of 2 times the bound of
-        // theorem 38 of Karaman and Frazzoli. Solovey et al. (2020, arXiv:1909.09688) show a gap
+        // 2 (1 + 1/d)^(1/d) (A / zeta_d)^(1/d) for d = 2, where A is the area of the region, m²,
+        // and zeta_d that of the unit disc, pi: the square root of 2 times the bound of theorem
+        // 38 of Karaman and Frazzoli. Solovey et al. (2020, arXiv:1909.09688) show a gap
         // in its proof; with 4,096 nodes at most, no limit is reached.
         let area = (region.left_m - region.right_m) * region.x_max_m;
         self.gamma_m = 2.0 * (1.5 * area.max(0.0) / PI).sqrt();
@@ -137,8 +138,8 @@ impl Search {
     /// known to be free, is the fallback; so only cheaper ones are looked at,
     /// the cheapest first, and most searches test a single edge. Of equals the first.
     ///
-    /// An ancestor of the nearest node is often the cheapest, or nearly: as long as no
-    /// edge is blocked, only what is cheaper than that is looked at.
+    /// An ancestor of the nearest node is often the cheapest, or nearly: until an edge is
+    /// blocked, only ways that come before the one through it are looked at.
     #[inline(always)]
     fn choose_parent(&self, grid: &Grid, radius_m: f64, point_body: Point, nearest: Edge) -> Edge {
         let fallback = Via::unnamed(self.tree.cost_m(nearest.parent) + nearest.length_m);

@@ -1,3 +1,5 @@
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::Point;
 
 use shm_config::settings::planner::NODES_MAX;
@@ -144,8 +146,9 @@ impl Tree {
             .cheapest_via(point_body, radius_m, known, after)
     }
 
-    /// The shortest way to a point through an ancestor of a node, of those up to the first that
-    /// is farther away than a radius, m; or the way that is known if none is shorter.
+    /// The shortest way to a point through an ancestor of a node, of equals the nearest to the
+    /// node; or the way that is known if none is shorter. Ancestors behind the first that is
+    /// farther away than a radius, m, are left out: the way is a limit for the search of all.
     #[inline(always)]
     pub(crate) fn via_ancestor(
         &self,

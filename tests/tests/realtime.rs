@@ -148,11 +148,13 @@ fn raw_counts(set: &Set) -> RawCounts {
 }
 
 /// A planner that never is in time: each search takes many periods.
-const SLOW_PLANNER: [&str; 6] = [
+const SLOW_PLANNER: [&str; 8] = [
     "--rate",
     "500",
     "--set",
     "planner.iterations=4000",
+    "--set",
+    "planner.shrink_after=4096",
     "--set",
     "limits.plan_age_ms=10000",
 ];

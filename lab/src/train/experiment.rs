@@ -94,7 +94,7 @@ impl Experiment {
     ///
     /// # Errors
     /// If the folder contains another experiment or other files, contains no experiment
-    /// to resume, or cannot be read.
+    /// to resume, or cannot be read; if the configuration or an override is invalid.
     pub fn open(arguments: &Train) -> anyhow::Result<(Experiment, PathBuf)> {
         let out = folder(arguments);
         let begun = Experiment::read(&out)?;
@@ -124,14 +124,16 @@ impl Experiment {
     /// Names the policy that drives first by its whole path, so that the experiment can be
     /// resumed from another folder.
     fn keep_policy(&mut self) -> anyhow::Result<()> {
-        let file = settings::config([self.config.as_deref(), None], &self.set)?
-            .policy
-            .file;
+        let config = settings::config([self.config.as_deref(), None], &self.set)?;
+        let file = config.policy.file;
         if file.is_empty() || Path::new(&file).is_absolute() {
             return Ok(());
         }
         let whole = absolute(&file).with_context(|| file.clone())?;
-        let whole = toml::Value::from(whole.to_str().context("no UTF-8")?);
+        let whole = whole.to_str().with_context(|| {
+            format!("policy.file = {file:?}: this folder's path is no UTF-8; give a whole path")
+        })?;
+        let whole = toml::Value::from(whole);
         self.set.retain(|held| key(held) != "policy.file");
         self.set.push(format!("policy.file={whole}"));
         Ok(())
@@ -470,9 +472,14 @@ mod tests {
         let by_key = ["--set", "policy.file=a b.onnx"];
         let begun = open(&out, &by_key).expect("one");
         assert_eq!(begun.set, kept("a b.onnx"));
+        let by_section = ["--set", "policy={file=\"a b.onnx\"}"];
+        let set = open(&out, &by_section).expect("one").set;
+        assert_eq!(set.last(), begun.set.last());
         let _lock = lock(&out).expect("the folder");
         begun.write(&out).expect("a note");
         assert_eq!(open(&out, &["--resume"]).expect("the same").set, begun.set);
+        let words = [&["--resume"], &by_key[..]].concat();
+        assert_eq!(open(&out, &words).expect("the same").set, begun.set);
     }
 
     #[test]

@@ -106,7 +106,13 @@ impl Protocol {
         if !file.exists() {
             return Ok(());
         }
-        let begun = Table::try_from(load(&file)?)?;
+        let mut begun = load(&file)?;
+        // The policy may have another name where the old one is gone: the training was moved.
+        let named = &mut begun.policy.file;
+        if !named.is_empty() && !Path::new(named).exists() {
+            named.clone_from(&self.config.policy.file);
+        }
+        let begun = Table::try_from(begun)?;
         let now = Table::try_from(&self.config)?;
         let mut differences = Vec::new();
         for section in DECISIVE {
@@ -317,6 +323,36 @@ mod tests {
         ] {
             let error = open(other).expect_err(other).to_string();
             assert!(error.contains(hint), "{other}: {error}");
+        }
+    }
+
+    #[test]
+    fn only_a_policy_that_is_gone_may_have_another_name() {
+        let place = tempfile::tempdir().expect("a folder");
+        let (old, new) = (place.path().join("old.onnx"), place.path().join("new.onnx"));
+        let out = place.path().join("out");
+        let open = |file: &Path| {
+            let experiment = Experiment {
+                set: vec![format!("policy.file={}", file.display())],
+                ..Experiment::default()
+            };
+            Protocol::new(&experiment, (0, &out))
+        };
+        let begin = |file: &Path| {
+            let _ = std::fs::remove_dir_all(&out);
+            let begun = open(file).expect("a training");
+            std::fs::create_dir_all(&begun.folder).expect("a folder");
+            let text = toml::to_string(&begun.config).expect("text");
+            std::fs::write(begun.file(), text).expect("written");
+        };
+        for (first, there) in [(old.as_path(), false), (&old, true), (Path::new(""), true)] {
+            begin(first);
+            if there {
+                std::fs::write(&old, "").expect("written");
+            }
+            let error = open(&new).err().map(|error| error.to_string());
+            let is_refused = error.is_some_and(|error| error.contains("policy.file = "));
+            assert_eq!(is_refused, there, "{first:?}");
         }
     }
 

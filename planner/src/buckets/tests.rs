@@ -16,13 +16,13 @@ struct Node {
 }
 
 fn lattice() -> impl Strategy<Value = Point> {
-    // Also outside the region, which is 15 m by 6 m.
-    (-4i32..40, -10i32..10)
+    // Also outside the regions, which are 15 m by 6 m and by 15 m.
+    (-4i32..40, -17i32..17)
         .prop_map(|(x, y)| Point::new(f64::from(x) * STEP_M, f64::from(y) * STEP_M))
 }
 
 fn anywhere() -> impl Strategy<Value = Point> {
-    (-1.0..16.0, -4.0..4.0).prop_map(|(x, y)| Point::new(x, y))
+    (-1.0..16.0, -8.0..8.0).prop_map(|(x, y)| Point::new(x, y))
 }
 
 fn nodes() -> impl Strategy<Value = Vec<Node>> {
@@ -39,12 +39,14 @@ fn square(node: &Node, from: Point) -> f64 {
     dx_m * dx_m + dy_m * dy_m
 }
 
-/// The buckets of a region of so many buckets, and each node's slot.
+/// The buckets of a region for so many nodes, and each node's slot.
 fn filled(nodes: &[Node], wanted: u32) -> (Buckets, Vec<u16>) {
     let mut buckets = Buckets::new();
+    // With 1,920 or more nodes the square one has as many buckets as a mask has bits.
+    let half_m = if wanted % 2 == 0 { 3.0 } else { 7.5 };
     buckets.restart(&Spread {
-        low: Point::new(0.0, -3.0),
-        high: Point::new(15.0, 3.0),
+        low: Point::new(0.0, -half_m),
+        high: Point::new(15.0, half_m),
         nodes: wanted,
     });
     let slots = nodes.iter().enumerate().map(|(index, node)| {
@@ -92,7 +94,7 @@ proptest! {
     #[test]
     fn the_nearest_is_the_first_of_the_nearest_of_a_scan(
         nodes in nodes(),
-        wanted in 0u32..2000,
+        wanted in 0u32..2500,
         from in prop_oneof![lattice(), anywhere()],
     ) {
         let (mut buckets, _) = filled(&nodes, wanted);
@@ -104,7 +106,7 @@ proptest! {
 
     #[test]
     fn parents_children_and_all_are_those_of_a_scan(
-        (mut nodes, wanted) in (nodes(), 0u32..2000),
+        (mut nodes, wanted) in (nodes(), 0u32..2500),
         from in prop_oneof![lattice(), anywhere()],
         (radius_m, at_m) in (prop_oneof![Just(1.5), Just(3.0), 0.1..30.0], 0u32..80),
         lowered in prop::collection::vec((any::<prop::sample::Index>(), 0u32..60), 0..50),

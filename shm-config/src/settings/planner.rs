@@ -58,10 +58,10 @@ pub struct Planner {
     /// Radius in which parents are chosen and edges rewired, m: `r*`.
     pub rewire_radius_m: f64,
     /// For rrt-star and informed: with more nodes than this the radius is at most
-    /// 2 sqrt(1.5 A / pi) sqrt(ln n / n), where A is the area of the samples and n the number of
-    /// nodes. The time of a plan then grows less than with the square of its iterations (Karaman
-    /// and Frazzoli, 2011, doi:10.1177/0278364911406761). The paper's radius is not reduced in
-    /// its 200 iterations.
+    /// 2 sqrt(1.5 A / pi) sqrt(ln n / n), m, with n nodes and the area A of the rectangle before
+    /// the goal, m²: sqrt(2) times the bound for RRT* (Karaman and Frazzoli, 2011,
+    /// doi:10.1177/0278364911406761). The time of a plan then grows less than with the square of
+    /// its iterations. The paper's radius is not reduced in its 200 iterations.
     pub shrink_after: u32,
     /// Radius of the goal ball, m: `r_goal`.
     pub goal_radius_m: f64,
