@@ -43,7 +43,7 @@ fn square(node: &Node, from: Point) -> f64 {
 fn filled(nodes: &[Node], wanted: u32) -> (Buckets, Vec<u16>) {
     let mut buckets = Buckets::new();
     // With 1,920 or more nodes the square one has as many buckets as a mask has bits.
-    let half_m = if wanted % 2 == 0 { 3.0 } else { 7.5 };
+    let half_m = if wanted.is_multiple_of(2) { 3.0 } else { 7.5 };
     buckets.restart(&Spread {
         low: Point::new(0.0, -half_m),
         high: Point::new(15.0, half_m),
