@@ -38,10 +38,7 @@ const _: () = assert!(
     BLOCKS_MAX * LANES < NONE as usize,
     "a slot's index is a u16"
 );
-const _: () = assert!(
-    BUCKETS_MAX <= u64::BITS as usize,
-    "a mask has a bit for each"
-);
+const _: () = assert!(BUCKETS_MAX <= 64, "a mask has a bit for each");
 
 /// The rectangle that most nodes are in, and how many there will be.
 #[derive(Debug, Clone, Copy)]
@@ -381,6 +378,10 @@ impl Buckets {
         known: Via,
         after: Option<Via>,
     ) -> Option<Via> {
+        debug_assert!(
+            after.is_none() || known.index < 0.0,
+            "found again and again"
+        );
         let after = after.unwrap_or(Via {
             cost_m: f64::NEG_INFINITY,
             index: 0.0,
@@ -398,7 +399,7 @@ impl Buckets {
                 let squares = block.squares(point_body);
                 let is_near = |lane: usize| squares[lane] <= reach.square(block.cost_m[lane]);
                 if mask(core::array::from_fn(is_near)) != 0 {
-                    best.take(block, point_body, radius_m * radius_m, &after);
+                    best.take(block, squares, radius_m * radius_m, &after);
                 }
                 at = block.next;
             }
@@ -432,11 +433,10 @@ impl Buckets {
 }
 
 impl Best {
-    /// Takes the nodes of a block in.
+    /// Takes the nodes of a block in, at these squared distances, m².
     #[inline(always)]
-    fn take(&mut self, block: &Block, point_body: Point, limit: f64, after: &Via) {
+    fn take(&mut self, block: &Block, squares: [f64; LANES], limit: f64, after: &Via) {
         // One simple loop after the other: of a single one the compiler may make no vectors.
-        let squares = block.squares(point_body);
         let mut costs_m = squares.map(f64::sqrt);
         for (cost_m, from_m) in costs_m.iter_mut().zip(&block.cost_m) {
             *cost_m += from_m;

@@ -54,7 +54,17 @@ fn extend_plainly(
         true => from + (sample - from) * (config.step_m / apart_m),
         false => sample,
     };
-    if !grid.is_segment_free(from, point) {
+    insert_plainly(tree, grid, (config, area), (nearest, point));
+}
+
+/// Adds a point that is reached from a node.
+fn insert_plainly(
+    tree: &mut Vec<Plain>,
+    grid: &Grid,
+    (config, area): (&PlannerConfig, f64),
+    (from, point): (usize, Point),
+) {
+    if !grid.is_segment_free(tree[from].point, point) {
         return;
     }
     let thin = |nodes: f64| (nodes.ln() / nodes).sqrt();
@@ -72,10 +82,10 @@ fn extend_plainly(
     let parent = near
         .iter()
         .copied()
-        .filter(|&index| via_m(index) < via_m(nearest))
+        .filter(|&index| via_m(index) < via_m(from))
         .filter(|&index| grid.is_segment_free(tree[index].point, point))
         .min_by(|&a, &b| via_m(a).total_cmp(&via_m(b)))
-        .unwrap_or(nearest);
+        .unwrap_or(from);
     tree.push(Plain {
         point,
         parent,
@@ -107,12 +117,17 @@ fn scene(returns: &[(usize, f32)]) -> Observation {
     observation
 }
 
+/// Sometimes a node to begin at.
+fn from() -> impl Strategy<Value = Option<prop::sample::Index>> {
+    prop::option::weighted(0.2, any::<prop::sample::Index>())
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn a_tree_on_a_lattice_is_that_of_a_scan(
-        samples in prop::collection::vec((0i32..40, -8i32..=8), 1..250),
+        samples in prop::collection::vec((0i32..40, -8i32..=8, from()), 1..250),
         returns in prop::collection::vec((0usize..64, 1.0f32..20.0), 0..12),
         (step_m, rewire_radius_m, shrink_after) in (
             prop::sample::select(vec![0.5, 1.0, 2.0, 40.0]),
@@ -134,10 +149,20 @@ proptest! {
         let region = Region { x_max_m: 15.0, right_m: -4.0, left_m: 4.0 };
         search.restart(&region, &config);
         let mut plain = vec![Plain { point: Point::origin(), parent: 0, edge_m: 0.0 }];
-        for (x, y) in samples {
+        let terms = (&config, 15.0 * 8.0);
+        for (x, y, from) in samples {
             let sample = Point::new(f64::from(x) * 0.5, f64::from(y) * 0.5);
-            search.extend(&grid, &config, sample);
-            extend_plainly(&mut plain, &grid, (&config, 15.0 * 8.0), sample);
+            match from.map(|from| from.index(plain.len())) {
+                None => {
+                    search.extend(&grid, &config, sample);
+                    extend_plainly(&mut plain, &grid, terms, sample);
+                }
+                // As from a remembered path: from any node, however far away.
+                Some(from) => {
+                    search.insert(&grid, &config, from, sample);
+                    insert_plainly(&mut plain, &grid, terms, (from, sample));
+                }
+            }
         }
         prop_assert_eq!(search.tree.len(), plain.len());
         for (index, node) in search.tree.nodes().enumerate() {
