@@ -9,7 +9,7 @@ use supervisor::subcommand::{Output, Subcommand, seconds};
 
 use anyhow::Context;
 use learner::Rate;
-use learner::algorithm::{Pvp, Regression, Size, Source, Student, pvp};
+use learner::algorithm::{Pvp, Regression, Size, Source, Student, pvp, regression};
 use learner::replay::{ACTIONS, Buffer, Replay, Then, Transition};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
@@ -253,7 +253,8 @@ fn row(
             Student::Pvp(Box::new(Pvp::new(settings, size, &mut random)))
         }
         Kind::Regression => {
-            Student::Regression(Regression::new(Source::All, size, RATE, &mut random))
+            let settings = regression::Settings::even(RATE);
+            Student::Regression(Regression::new(Source::All, size, settings, &mut random))
         }
     };
     let passes = case.passes();

@@ -10,7 +10,7 @@ use shm_config::file::{Durable, read_ours, replace};
 use crate::algorithm::Student;
 
 /// The first bytes of the file: name and version of the format.
-pub const MAGIC: &[u8; 8] = b"VLLRNR08";
+pub const MAGIC: &[u8; 8] = b"VLLRNR09";
 
 /// Longest file that is read, bytes: a thousand times that of the paper's networks.
 const BYTES_MAX: u64 = 1 << 32;

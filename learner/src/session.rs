@@ -15,7 +15,7 @@ use shm_config::message::{Driver, FEATURES, Step};
 use vehicle::Action;
 
 use crate::Rate;
-use crate::algorithm::{Losses, Ppl, Pvp, Regression, Size, Source, Student, pvp};
+use crate::algorithm::{Losses, Ppl, Pvp, Regression, Size, Source, Student, pvp, regression};
 use crate::assembler::{Assembler, Labelling};
 use crate::checkpoint::Checkpoint;
 use crate::export;
@@ -443,7 +443,10 @@ pub(crate) fn begin(config: &Config) -> Checkpoint {
         },
         decay_steps: settings.decay_updates,
     };
-    let imitation_rate = rate(IMITATION_RATE);
+    let imitation = regression::Settings {
+        rate: rate(IMITATION_RATE),
+        excess_pedal: settings.excess_pedal as f32,
+    };
     let student = match settings.algorithm {
         Algorithm::Pvp => {
             let settings = pvp::Settings {
@@ -456,14 +459,14 @@ pub(crate) fn begin(config: &Config) -> Checkpoint {
             };
             Student::Pvp(Box::new(Pvp::new(settings, size, &mut random)))
         }
-        Algorithm::Ppl => Student::Ppl(Ppl::new(size, imitation_rate, &mut random)),
+        Algorithm::Ppl => Student::Ppl(Ppl::new(size, imitation, &mut random)),
         Algorithm::Bc | Algorithm::HgDagger => {
             let source = Source::Preferred;
-            Student::Regression(Regression::new(source, size, imitation_rate, &mut random))
+            Student::Regression(Regression::new(source, size, imitation, &mut random))
         }
         Algorithm::Dagger => {
             let source = Source::All;
-            Student::Regression(Regression::new(source, size, imitation_rate, &mut random))
+            Student::Regression(Regression::new(source, size, imitation, &mut random))
         }
     };
     Checkpoint {

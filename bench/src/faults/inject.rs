@@ -101,9 +101,9 @@ pub fn inject(
         },
         Kind::Disk => {
             let folder = injection.set.options().folder.clone();
-            injection.fill_disk(&folder, planned.kills)?
+            injection.fill(&folder, planned.kills)?
         }
-        Kind::Shm => injection.fill_disk(shared_memory(), planned.kills)?,
+        Kind::Shm => injection.fill(shared_memory(), planned.kills)?,
         Kind::Clock => injection.clock_steps()?,
         Kind::Hostile => injection.hostile(&mut planned.dice)?,
         Kind::ForeignCommand => injection.forge(Forgery::Command)?,
@@ -206,13 +206,19 @@ impl Injection<'_> {
     }
 
     /// Fills a file system; the target may be killed meanwhile.
-    fn fill_disk(&mut self, folder: &Path, kills: bool) -> anyhow::Result<String> {
+    fn fill(&mut self, folder: &Path, kills: bool) -> anyhow::Result<String> {
         self.begin();
         let filler = Filler::fill(folder)?;
         if kills {
             self.set.signal(self.target, Signal::KILL);
         }
-        self.set.watch_for(self.exhausted_ns);
+        if kills && folder == shared_memory() {
+            // To read is to connect to the target's successor, and a connection for which
+            // there is no memory kills this program with SIGBUS. Messages wait in their queues.
+            pause(Duration::from_nanos(self.exhausted_ns));
+        } else {
+            self.set.watch_for(self.exhausted_ns);
+        }
         drop(filler);
         let meanwhile = if kills { ", killed meanwhile" } else { "" };
         Ok(milliseconds(self.exhausted_ns) + meanwhile)

@@ -9,9 +9,8 @@
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 
-use super::regression::Imitator;
+use super::regression::{Imitator, Settings};
 use super::{Losses, Size};
-use crate::Rate;
 use crate::network::Network;
 use crate::replay::{ACTIONS, Buffer, Replay};
 
@@ -29,8 +28,8 @@ pub struct Ppl(Imitator);
 
 impl Ppl {
     /// With random parameters.
-    pub fn new(size: Size, rate: Rate, random: &mut impl Rng) -> Ppl {
-        Ppl(Imitator::new(size, rate, random))
+    pub fn new(size: Size, settings: Settings, random: &mut impl Rng) -> Ppl {
+        Ppl(Imitator::new(size, settings, random))
     }
 
     /// One update from the steps whose label prefers the expert, and from predicted

@@ -17,6 +17,27 @@ const AVERAGED: f32 = 200.0;
 /// values are smaller, and decide whether the car crashes.
 const STEER_WEIGHT: f32 = 10.0;
 
+/// What a user may change.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// Learning rate.
+    pub rate: Rate,
+    /// How much more a pedal above the expert's counts than one below it. Where the expert
+    /// sometimes brakes and sometimes does not, and the policy cannot tell why, it then learns
+    /// to brake.
+    pub excess_pedal: f32,
+}
+
+impl Settings {
+    /// Eq. 1: what is above counts as much as what is below.
+    pub fn even(rate: Rate) -> Settings {
+        Settings {
+            rate,
+            excess_pedal: 1.0,
+        }
+    }
+}
+
 /// Which steps are imitated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Source {
@@ -35,9 +56,14 @@ pub struct Regression {
 
 impl Regression {
     /// With random parameters.
-    pub fn new(source: Source, size: Size, rate: Rate, random: &mut impl Rng) -> Regression {
+    pub fn new(
+        source: Source,
+        size: Size,
+        settings: Settings,
+        random: &mut impl Rng,
+    ) -> Regression {
         Regression {
-            imitator: Imitator::new(size, rate, random),
+            imitator: Imitator::new(size, settings, random),
             source,
         }
     }
@@ -74,6 +100,7 @@ pub(super) struct Imitator {
     actor: Learned,
     average: Network,
     size: Size,
+    excess_pedal: f32,
     #[serde(skip)]
     workspace: Workspace,
 }
@@ -87,12 +114,13 @@ struct Workspace {
 
 impl Imitator {
     /// With random parameters.
-    pub fn new(size: Size, rate: Rate, random: &mut impl Rng) -> Imitator {
-        let actor = actor(size, rate, random);
+    pub fn new(size: Size, settings: Settings, random: &mut impl Rng) -> Imitator {
+        let actor = actor(size, settings.rate, random);
         Imitator {
             average: actor.network.clone(),
             actor,
             size,
+            excess_pedal: settings.excess_pedal,
             workspace: Workspace::default(),
         }
     }
@@ -113,7 +141,7 @@ impl Imitator {
         }
         let network = &self.actor.network;
         let actions = network.forward(&batch.states, threads, tape);
-        let imitation = imitate(actions, &batch.expert, delta);
+        let imitation = imitate((actions, &batch.expert), self.excess_pedal, delta);
         let other = also(actions, batch, delta);
         let pass = (&batch.states[..], &delta[..]);
         let gradient = Some(&mut self.actor.gradient);
@@ -129,7 +157,9 @@ impl Imitator {
 
     /// The values it keeps from its start, by configuration key.
     pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
-        self.size.begun_with(self.actor.adam.rate)
+        let mut begun = self.size.begun_with(self.actor.adam.rate);
+        begun.push(("learner.excess_pedal", f64::from(self.excess_pedal)));
+        begun
     }
 
     /// The present policy.
@@ -138,18 +168,19 @@ impl Imitator {
     }
 }
 
-/// Eq. 1 with a weight for the steering: the mean over the batch of the squared
-/// distance, and its gradient.
-fn imitate(actions: &[f32], expert: &[f32], delta: &mut Vec<f32>) -> f32 {
+/// Eq. 1 with a weight for the steering and one for a pedal above the expert's: the mean over
+/// the batch of the squared distance, and its gradient.
+fn imitate((actions, expert): (&[f32], &[f32]), excess_pedal: f32, delta: &mut Vec<f32>) -> f32 {
     let batch = (actions.len() / ACTIONS) as f32;
     delta.clear();
     let mut loss = 0.0;
     for (k, (action, expert)) in actions.iter().zip(expert).enumerate() {
+        let error = action - expert;
         let weight = match k % ACTIONS {
             0 => STEER_WEIGHT / batch,
+            _ if error > 0.0 => excess_pedal / batch,
             _ => 1.0 / batch,
         };
-        let error = action - expert;
         loss += weight * error * error;
         delta.push(2.0 * weight * error);
     }
@@ -166,16 +197,24 @@ mod tests {
         let mut actions = [0.3, -0.6, 0.9, 0.1, -0.2, 0.0_f32];
         let expert = [0.1, -0.5, -0.9, 0.1, 0.2, 1.0];
         let mut delta = Vec::new();
-        imitate(&actions, &expert, &mut delta);
+        imitate((&actions, &expert), 3.0, &mut delta);
         let gradients = delta.clone();
         assert_gradients(&gradients, "the imitation", |k, by| {
             actions[k] += by;
-            let loss = imitate(&actions, &expert, &mut delta);
+            let loss = imitate((&actions, &expert), 3.0, &mut delta);
             actions[k] -= by;
             loss
         });
         // One row of three has an error of 1.
-        let loss = imitate(&[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], &[0.0; 6], &mut delta);
-        assert!((loss - STEER_WEIGHT / 3.0).abs() < 1e-6, "{loss}");
+        for (wrong, weight) in [
+            ([1.0, 0.0], STEER_WEIGHT),
+            ([-1.0, 0.0], STEER_WEIGHT),
+            ([0.0, 1.0], 3.0),
+            ([0.0, -1.0], 1.0),
+        ] {
+            let actions = [wrong[0], wrong[1], 0.0, 0.0, 0.0, 0.0];
+            let loss = imitate((&actions, &[0.0; 6]), 3.0, &mut delta);
+            assert!((loss - weight / 3.0).abs() < 1e-6, "{wrong:?}: {loss}");
+        }
     }
 }

@@ -63,6 +63,9 @@ pub struct Learner {
     /// stays; 0 keeps it. `./vlaps train --steps` makes `learner.updates` for each
     /// `learner.block_steps`: 75,000 for 50,000 steps.
     pub decay_updates: u32,
+    /// For all but pvp: how much more a pedal above the expert's counts in the imitation than
+    /// one below it; over 1 the policy brakes sooner.
+    pub excess_pedal: f64,
     /// Weight of the imitation loss relative to the value loss: lambda_BC of Eq. 2;
     /// PVP4Real.
     pub imitation_weight: f64,
@@ -112,6 +115,7 @@ impl Default for Learner {
             filters: 0,
             rate: 0.0,
             decay_updates: 0,
+            excess_pedal: 1.0,
             imitation_weight: 1.0,
             target_noise: 0.2,
             imitation_steer: 1.0,
@@ -149,6 +153,7 @@ impl Learner {
             in_range(key, value, range)?;
         }
         in_range("learner.rate", self.rate, 0.0..=1.0)?;
+        in_range("learner.excess_pedal", self.excess_pedal, 0.01..=100.0)?;
         in_range("learner.imitation_weight", self.imitation_weight, 0.0..=1e3)?;
         in_range("learner.target_noise", self.target_noise, 0.0..=1.0)?;
         in_range("learner.imitation_steer", self.imitation_steer, 0.0..=1e3)?;

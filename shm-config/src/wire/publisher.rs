@@ -8,6 +8,8 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
+use rustix::io::Errno;
+use rustix::mm::{Advice, madvise};
 
 use super::Ipc;
 use crate::message::{
@@ -15,12 +17,17 @@ use crate::message::{
 };
 
 type Port<M> = iceoryx2::port::publisher::Publisher<Ipc, M, ()>;
+type Loan<M> = SampleMutUninit<Ipc, MaybeUninit<M>, ()>;
+
+/// The largest message whose sample is loaned before it is needed, bytes. A larger one has
+/// its memory from the first time that it is sent.
+const LOANED_EARLY_MAX: usize = 1 << 20;
 
 /// Publishes one service and wakes its readers.
 pub struct Publisher<M: Message> {
     /// The sample of the next message, loaned between ticks: the library allocates
     /// a handle for each loan.
-    loaned: Option<SampleMutUninit<Ipc, MaybeUninit<M>, ()>>,
+    loaned: Option<Loan<M>>,
     port: Port<M>,
     bells: Vec<Rc<Notifier<Ipc>>>,
     sequence: u64,
@@ -33,7 +40,7 @@ impl<M: Message> Publisher<M> {
     /// A publisher on an open port, with the doorbells of its readers.
     pub(super) fn new(port: Port<M>, bells: Vec<Rc<Notifier<Ipc>>>) -> Self {
         Self {
-            loaned: port.loan_uninit().ok(),
+            loaned: loan_early(&port),
             port,
             bells,
             sequence: 0,
@@ -62,7 +69,7 @@ impl<M: Message> Publisher<M> {
         header.sequence = sequence;
         header.producer = producer;
         self.used = self.used.max(message.used_bytes());
-        let sample = self.loaned.take().or_else(|| self.port.loan_uninit().ok());
+        let sample = self.loaned.take().or_else(|| loan(&self.port));
         sample.is_some_and(|sample| written(sample, message, self.used).send().is_ok())
     }
 
@@ -71,7 +78,7 @@ impl<M: Message> Publisher<M> {
     /// [`Publisher::send`].
     pub fn pass_on(&mut self, message: &M) -> bool {
         self.used = self.used.max(message.used_bytes());
-        let sample = self.loaned.take().or_else(|| self.port.loan_uninit().ok());
+        let sample = self.loaned.take().or_else(|| loan(&self.port));
         let sent = sample.is_some_and(|sample| written(sample, message, self.used).send().is_ok());
         for bell in &self.bells {
             let _ = bell.notify();
@@ -86,18 +93,45 @@ impl<M: Message> Publisher<M> {
         // A failure here appears again at the next send.
         let _ = self.port.update_connections();
         if self.loaned.is_none() {
-            self.loaned = self.port.loan_uninit().ok();
+            self.loaned = loan_early(&self.port);
         }
     }
 }
 
+/// A sample for the next message; `None` when there is no memory for all of it.
+fn loan<M: Message>(port: &Port<M>) -> Option<Loan<M>> {
+    let mut sample = port.loan_uninit().ok()?;
+    has_memory(sample.payload_mut()).then_some(sample)
+}
+
+/// The same, unless the message is large and may never be sent.
+fn loan_early<M: Message>(port: &Port<M>) -> Option<Loan<M>> {
+    (size_of::<M>() <= LOANED_EARLY_MAX)
+        .then(|| loan(port))
+        .flatten()
+}
+
+/// Gives the payload all its memory now. A file in /dev/shm has memory where it was written
+/// or read: when all memory is taken, the first access to another page kills the process with
+/// SIGBUS, its reader, too. Here it is an answer, and no tick pays for a page.
+fn has_memory<M>(payload: &mut MaybeUninit<M>) -> bool {
+    let page = rustix::param::page_size();
+    let begin = ptr::from_mut(payload).cast::<u8>();
+    let before = begin.addr() % page;
+    // SAFETY: the range is within the mapping of the publisher's samples, which begins with a
+    // page and lasts as long as the port; the advice changes no byte of it.
+    #[allow(unsafe_code)]
+    let given = unsafe {
+        let begin = begin.sub(before).cast();
+        madvise(begin, before + size_of::<M>(), Advice::LinuxPopulateWrite)
+    };
+    // A kernel before 5.14 does not know the advice.
+    matches!(given, Ok(()) | Err(Errno::INVAL))
+}
+
 /// Writes the first `used` bytes of the message, and no others: 2,048 beams of which a
 /// scanner has 240 cost a world at 100 Hz, whose caches are cold, several microseconds.
-fn written<M: Message>(
-    mut sample: SampleMutUninit<Ipc, MaybeUninit<M>, ()>,
-    message: &M,
-    used: usize,
-) -> SampleMut<Ipc, M, ()> {
+fn written<M: Message>(mut sample: Loan<M>, message: &M, used: usize) -> SampleMut<Ipc, M, ()> {
     let used = used.min(size_of::<M>());
     // SAFETY: both pointers are to a whole `M`, of which `used` bytes are at most all; the
     // sample's payload is ours alone until it is sent. The other bytes of the payload were
@@ -122,7 +156,7 @@ impl<M: Message> Publisher<M> {
         self.sequence += 1;
         let (sequence, producer) = (self.sequence, self.producer);
         self.used = size_of::<M>();
-        let sample = self.loaned.take().or_else(|| self.port.loan_uninit().ok());
+        let sample = self.loaned.take().or_else(|| loan(&self.port));
         let Some(mut sample) = sample else {
             return false;
         };
@@ -181,5 +215,45 @@ impl Publisher<Frame> {
                 frame.format = PixelFormat::Rgb8.code();
                 frame.pixels[..rgb.len()].copy_from_slice(rgb);
             })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::File;
+    use std::io::Write;
+
+    use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
+
+    use super::*;
+
+    /// A file that ends before the mapping does has no memory there, as a full file system
+    /// has none.
+    #[test]
+    fn a_message_without_memory_is_an_answer_and_not_a_death() {
+        let page = rustix::param::page_size();
+        let mut file: File = tempfile::tempfile().expect("a file");
+        file.write_all(&vec![7; page]).expect("a page");
+        let access = ProtFlags::READ | ProtFlags::WRITE;
+        // SAFETY: a new mapping, of which only the first page is accessed.
+        #[allow(unsafe_code)]
+        unsafe {
+            let mapped = mmap(
+                ptr::null_mut(),
+                2 * page,
+                access,
+                MapFlags::SHARED,
+                &file,
+                0,
+            )
+            .expect("a mapping");
+            let at = |offset: usize| &mut *mapped.cast::<u8>().add(offset).cast();
+            let whole: &mut MaybeUninit<[u8; 64]> = at(page - 64);
+            assert!(has_memory(whole));
+            let cut: &mut MaybeUninit<[u8; 64]> = at(page - 32);
+            assert!(!has_memory(cut));
+            assert_eq!(*mapped.cast::<u8>().add(page - 1), 7, "no byte has changed");
+            munmap(mapped, 2 * page).expect("unmapped");
+        }
     }
 }

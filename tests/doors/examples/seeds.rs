@@ -314,6 +314,7 @@ fn of_recordings() {
 
 /// Networks of a size that no learner has, but whole.
 fn checkpoints(folder: &Path) {
+    use learner::algorithm::regression::Settings;
     use learner::algorithm::{Regression, Size, Source, Student};
     use rand_xoshiro::Xoshiro256PlusPlus;
     use rand_xoshiro::rand_core::SeedableRng;
@@ -329,7 +330,7 @@ fn checkpoints(folder: &Path) {
         student: Student::Regression(Regression::new(
             Source::All,
             size,
-            Rate::constant(1e-3),
+            Settings::even(Rate::constant(1e-3)),
             &mut random,
         )),
         random,
