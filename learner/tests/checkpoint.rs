@@ -335,6 +335,26 @@ fn other_sizes_and_rates_are_refused_with_both_values() {
 }
 
 #[test]
+fn another_weight_of_the_pedal_is_refused_but_for_pvp() {
+    for (algorithm, is_refused) in [(Algorithm::Bc, true), (Algorithm::Pvp, false)] {
+        let folder = TempDir::new().expect("a folder");
+        drive(&mut open(&config(algorithm), folder.path()), 0..BLOCK);
+        let mut other = config(algorithm);
+        other.learner.excess_pedal = 2.0;
+        let error = Session::open(&other, folder.path()).err();
+        let said = error.map(|error| error.to_string());
+        match is_refused {
+            true => assert!(
+                said.as_ref()
+                    .is_some_and(|said| said.contains("learner.excess_pedal = 1, and 2")),
+                "{said:?}"
+            ),
+            false => assert_eq!(said, None),
+        }
+    }
+}
+
+#[test]
 fn temporary_files_of_a_killed_learner_are_removed() {
     let folder = TempDir::new().expect("a folder");
     let config = config(Algorithm::Bc);

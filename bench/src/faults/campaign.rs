@@ -8,6 +8,7 @@ use shm_config::services::Process;
 use supervisor::cli::failure::Failure;
 
 use super::inject::{Effect, Outcome, await_recovery, inject, outcome_of};
+use super::monitor::CHILDREN;
 use super::planned::{Kind, PlannedFault};
 use super::results::{Row, append};
 use super::sandbox::Sandbox;
@@ -213,6 +214,7 @@ impl<'a> Campaign<'a> {
             return Ok(row);
         }
         let old_pid = planned.target.and_then(|target| set.pid(target));
+        let before = CHILDREN.map(|process| set.pid(process));
         let effect = inject(&mut set, &mut planned, clock)
             .with_context(|| format!("fault {number}, {} {}", row.kind, row.target))?;
         row.struck_ns = set.monitor().trial().map_or(0, |trial| trial.injected.0);
@@ -227,6 +229,14 @@ impl<'a> Campaign<'a> {
                 let outcome = await_recovery(&mut set, &planned, old_pid, (clock, stop));
                 record_outcome(&mut row, &outcome);
                 self.count(&mut set, &mut row);
+                if !planned.may_kill()
+                    && let Some(dead) = CHILDREN
+                        .into_iter()
+                        .zip(before)
+                        .find(|(process, pid)| set.pid(*process) != *pid)
+                {
+                    row.verdict = format!("the {} died of it", dead.0);
+                }
                 if outcome.recovered_ns.is_none() && !stop.is_asked() {
                     row.verdict = "did not recover".into();
                     self.give_up(set, &mut row)?;

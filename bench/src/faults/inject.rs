@@ -214,7 +214,7 @@ impl Injection<'_> {
         }
         if kills && folder == shared_memory() {
             // To read is to connect to the target's successor, and a connection for which
-            // there is no memory kills this program with SIGBUS. Messages wait in their queues.
+            // there is no memory kills this program with SIGBUS. Steps wait in their queue.
             pause(Duration::from_nanos(self.exhausted_ns));
         } else {
             self.set.watch_for(self.exhausted_ns);

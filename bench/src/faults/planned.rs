@@ -193,6 +193,11 @@ impl PlannedFault {
         }
     }
 
+    /// Whether a process may die of it. A full file system alone ends none.
+    pub fn may_kill(&self) -> bool {
+        self.kills || !matches!(self.kind, Kind::Disk | Kind::Shm)
+    }
+
     /// The target's name; empty for the machine, or for all processes.
     pub fn target_name(&self) -> &'static str {
         self.target.map_or("", Process::word)

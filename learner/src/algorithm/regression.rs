@@ -18,7 +18,7 @@ const AVERAGED: f32 = 200.0;
 const STEER_WEIGHT: f32 = 10.0;
 
 /// What a user may change.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Learning rate.
     pub rate: Rate,

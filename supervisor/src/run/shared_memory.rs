@@ -1,7 +1,7 @@
 //! The shared memory that a run needs, computed from its configuration.
 //!
-//! The files of a run are sparse: they occupy only the blocks that were written at least
-//! once, and keep them. What a run can occupy at most:
+//! The files of a run are sparse: they occupy only the places of messages that were sent at
+//! least once, and keep them. What a run can occupy at most:
 //!
 //! | part | when |
 //! |---|---|
@@ -111,8 +111,8 @@ pub fn shared_memory() -> Result<(u64, u64), Failure> {
     ))
 }
 
-/// Checks that a run fits into shared memory. Without this check a process would die of
-/// SIGBUS when memory runs out.
+/// Checks that a run fits into shared memory. Without this check messages would be lost when
+/// memory runs out, and a process that connects to another might die of SIGBUS.
 ///
 /// # Errors
 /// When there is too little: both figures, the purposes, and what to do.
