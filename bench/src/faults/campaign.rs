@@ -235,7 +235,7 @@ impl<'a> Campaign<'a> {
                         .zip(before)
                         .find(|(process, pid)| set.pid(*process) != *pid)
                 {
-                    row.verdict = format!("the {} died of it", dead.0);
+                    row.verdict = format!("{}; the {} died of it", row.verdict, dead.0);
                 }
                 if outcome.recovered_ns.is_none() && !stop.is_asked() {
                     row.verdict = "did not recover".into();
