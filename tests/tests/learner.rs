@@ -281,14 +281,15 @@ fn a_run_that_goes_on_waits_for_the_updates_that_its_learner_was_killed_in() {
 
 #[test]
 fn the_controller_waits_for_a_block_of_updates_as_long_as_the_limits_say() {
-    let unloaded = |wait: &str| {
+    let unloaded = |updates: &str, wait: &str| {
         let set = Set::new("learnlimit");
         let settings = overrides(&[
             "learner.enabled=true",
-            "learner.algorithm=hg-dagger",
+            "learner.algorithm=dagger",
             "learner.block_steps=20",
-            // They take ten times as long as the rest of the run.
-            "learner.updates=1000",
+            // Imagined scenes are learnt from at once, driven ones when their label has come.
+            "learner.imagined_scenes=1",
+            updates,
             "learner.batch=256",
             "policy.veto_rate_max=1.0",
             "policy.jump_max=2.0",
@@ -302,7 +303,9 @@ fn the_controller_waits_for_a_block_of_updates_as_long_as_the_limits_say() {
         assert_eq!(json["ticks"], 40, "{json}");
         json["reasons"]["expert"]["unloaded"].as_u64().unwrap_or(0)
     };
-    let waited = unloaded("limits.learner_wait_s=120");
+    let waited = unloaded("learner.updates=100", "limits.learner_wait_s=120");
     assert_eq!(waited, 20, "the ticks of the first block");
-    assert_eq!(unloaded("limits.learner_wait_s=0.05"), 40);
+    // These take ten times as long as the run: the second block begins without a policy.
+    let not_waited = unloaded("learner.updates=1000", "limits.learner_wait_s=0.05");
+    assert_eq!(not_waited, 40, "the ticks of both blocks");
 }
