@@ -16,8 +16,12 @@ use vlaps_tests::{Set, until};
 const PICTURES: u64 = 8;
 /// Every second request is for an observation that is this many older.
 const BEHIND: usize = 15;
-/// Polls of 2 ms for an answer before the next request.
-const LOOKS: u32 = 2_000;
+/// Polls of 2 ms for an answer before the next request. In lockstep an episode takes a tenth
+/// of a second, and the world answers for the running one and the one before: on a busy machine
+/// a request may come too late.
+const LOOKS: u32 = 200;
+/// Requests in all, answered or not.
+const REQUESTS: u32 = 40;
 
 fn request(seen: &Header, view: View) -> FrameRequest {
     let proposal = |pedal| Proposal::new(Some(Action { steer: 0.1, pedal }));
@@ -41,7 +45,10 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
     let mut foresights = wire.subscriber(FORESIGHT).expect("a port");
     let mut seen: Vec<Header> = Vec::new();
     let mut foreseen = Vec::new();
-    while (foreseen.len() as u64) < PICTURES {
+    for _ in 0..REQUESTS {
+        if foreseen.len() as u64 == PICTURES {
+            return foreseen;
+        }
         until("something new is observed", || {
             observations.update_connections();
             let newest: Option<Observation> = observations.newest(Message::check);
@@ -55,42 +62,45 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
         let of = seen[seen.len() - back];
         requests.update_connections();
         requests.send(&mut request(&of, view));
-        let mut header = None;
+        let is_of = |header: &Header| {
+            (header.tick, header.episode, header.taken_ns) == (of.tick, of.episode, of.taken_ns)
+        };
+        let mut foresight = None;
+        let mut is_drawn = false;
         for _ in 0..LOOKS {
             frames.update_connections();
             foresights.update_connections();
-            header = frames.visit(|frame| {
+            frames.visit(|frame| {
                 assert_eq!(frame.check(), Ok(()));
                 assert_eq!((frame.width, frame.height), (480, 320));
-                assert_eq!(frame.camera.view, view.code());
                 assert!(frame.rgb().iter().any(|&byte| byte != frame.rgb()[0]));
-                frame.header
+                // Another one answers a request that was given up.
+                if is_of(&frame.header) {
+                    assert_eq!(frame.camera.view, view.code());
+                    is_drawn = true;
+                }
             });
-            if header.is_some() {
+            let newest = foresights.newest(Message::check);
+            foresight = newest.filter(|newest| is_of(&newest.header)).or(foresight);
+            if is_drawn && foresight.is_some() {
                 break;
             }
             std::thread::park_timeout(Duration::from_millis(2));
         }
-        let header = header.unwrap_or_else(|| panic!("no picture of {of:?}\n{}", set.logs()));
-        assert_eq!(
-            (header.tick, header.episode, header.taken_ns),
-            (of.tick, of.episode, of.taken_ns)
-        );
-        let mut foresight = None;
-        until("both proposals are foreseen", || {
-            foresight = foresights.newest(Message::check);
-            foresight.is_some()
-        });
-        let foresight = foresight.expect("just seen");
-        assert_eq!(foresight.check(), Ok(()));
-        assert_eq!(foresight.header.tick, of.tick);
-        foreseen.push(foresight.outlooks);
+        if let Some(foresight) = foresight.filter(|_| is_drawn) {
+            assert_eq!(foresight.check(), Ok(()));
+            foreseen.push(foresight.outlooks);
+        }
     }
-    foreseen
+    panic!(
+        "{} pictures for {REQUESTS} requests\n{}",
+        foreseen.len(),
+        set.logs()
+    );
 }
 
-/// Ten times as long as the pictures take.
-const LENGTH: [&str; 4] = ["--seed", "3", "--duration", "600"];
+/// Many times as long as the pictures take.
+const LENGTH: [&str; 4] = ["--seed", "3", "--duration", "2400"];
 
 #[test]
 fn a_set_in_lockstep_drives_alike_whether_pictures_are_taken_or_not() {
