@@ -100,7 +100,7 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
 }
 
 /// Many times as long as the pictures take.
-const LENGTH: [&str; 4] = ["--seed", "3", "--duration", "2400"];
+const LENGTH: [&str; 4] = ["--seed", "3", "--duration", "1500"];
 
 #[test]
 fn a_set_in_lockstep_drives_alike_whether_pictures_are_taken_or_not() {

@@ -306,6 +306,6 @@ fn the_controller_waits_for_a_block_of_updates_as_long_as_the_limits_say() {
     let waited = unloaded("learner.updates=100", "limits.learner_wait_s=120");
     assert_eq!(waited, 20, "the ticks of the first block");
     // These take ten times as long as the run: the second block begins without a policy.
-    let not_waited = unloaded("learner.updates=1000", "limits.learner_wait_s=0.05");
+    let not_waited = unloaded("learner.updates=500", "limits.learner_wait_s=0.05");
     assert_eq!(not_waited, 40, "the ticks of both blocks");
 }
