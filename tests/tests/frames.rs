@@ -16,12 +16,27 @@ use vlaps_tests::{Set, until};
 const PICTURES: u64 = 8;
 /// Every second request is for an observation that is this many older.
 const BEHIND: usize = 15;
-/// Polls of 2 ms for an answer before the next request. In lockstep an episode takes a tenth
-/// of a second, and the world answers for the running one and the one before: on a busy machine
-/// a request may come too late.
-const LOOKS: u32 = 200;
-/// Requests in all, answered or not.
-const REQUESTS: u32 = 40;
+
+/// How requests are made.
+struct Requests {
+    /// Polls of 2 ms for an answer.
+    looks: u32,
+    /// Requests in all, answered or not.
+    all: u64,
+}
+
+/// Each request is answered.
+const IN_REAL_TIME: Requests = Requests {
+    looks: 2_000,
+    all: PICTURES,
+};
+
+/// An episode takes a tenth of a second, and the world answers for the running one and the
+/// one before: on a busy machine a request may come too late, and is made again.
+const IN_LOCKSTEP: Requests = Requests {
+    looks: 200,
+    all: 5 * PICTURES,
+};
 
 fn request(seen: &Header, view: View) -> FrameRequest {
     let proposal = |pedal| Proposal::new(Some(Action { steer: 0.1, pedal }));
@@ -36,7 +51,7 @@ fn request(seen: &Header, view: View) -> FrameRequest {
 }
 
 /// Requests pictures of a running set like a gate; returns what was foreseen at each.
-fn ask(set: &Set) -> Vec<[Outlook; 2]> {
+fn ask(set: &Set, by: &Requests) -> Vec<[Outlook; 2]> {
     until("the set drives", || set.paths().supervisor_pid().is_some());
     let wire = Wire::join(set.name(), Process::Gate).expect("the run");
     let mut requests = wire.publisher(FRAME_REQUEST).expect("a port");
@@ -44,11 +59,16 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
     let mut frames = wire.subscriber(FRAME).expect("a port");
     let mut foresights = wire.subscriber(FORESIGHT).expect("a port");
     let mut seen: Vec<Header> = Vec::new();
+    let mut requested: Vec<(Header, View)> = Vec::new();
     let mut foreseen = Vec::new();
-    for _ in 0..REQUESTS {
-        if foreseen.len() as u64 == PICTURES {
-            return foreseen;
-        }
+    while (foreseen.len() as u64) < PICTURES {
+        let made = requested.len() as u64;
+        assert!(
+            made < by.all,
+            "{} pictures for {made} requests\n{}",
+            foreseen.len(),
+            set.logs()
+        );
         until("something new is observed", || {
             observations.update_connections();
             let newest: Option<Observation> = observations.newest(Message::check);
@@ -62,26 +82,27 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
         let of = seen[seen.len() - back];
         requests.update_connections();
         requests.send(&mut request(&of, view));
-        let is_of = |header: &Header| {
-            (header.tick, header.episode, header.taken_ns) == (of.tick, of.episode, of.taken_ns)
-        };
-        let mut foresight = None;
+        requested.push((of, view));
         let mut is_drawn = false;
-        for _ in 0..LOOKS {
+        let mut foresight = None;
+        for _ in 0..by.looks {
             frames.update_connections();
             foresights.update_connections();
             frames.visit(|frame| {
                 assert_eq!(frame.check(), Ok(()));
                 assert_eq!((frame.width, frame.height), (480, 320));
                 assert!(frame.rgb().iter().any(|&byte| byte != frame.rgb()[0]));
-                // Another one answers a request that was given up.
-                if is_of(&frame.header) {
-                    assert_eq!(frame.camera.view, view.code());
-                    is_drawn = true;
-                }
+                // An earlier request may be answered after it was given up.
+                let asked = |(of, view): &(Header, View)| {
+                    is_same(of, &frame.header) && view.code() == frame.camera.view
+                };
+                assert!(requested.iter().any(asked), "{:?}", frame.header);
+                is_drawn |= is_same(&of, &frame.header);
             });
             let newest = foresights.newest(Message::check);
-            foresight = newest.filter(|newest| is_of(&newest.header)).or(foresight);
+            foresight = newest
+                .filter(|newest| is_same(&of, &newest.header))
+                .or(foresight);
             if is_drawn && foresight.is_some() {
                 break;
             }
@@ -92,11 +113,12 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
             foreseen.push(foresight.outlooks);
         }
     }
-    panic!(
-        "{} pictures for {REQUESTS} requests\n{}",
-        foreseen.len(),
-        set.logs()
-    );
+    foreseen
+}
+
+/// Whether both are of the same instant.
+fn is_same(a: &Header, b: &Header) -> bool {
+    (a.tick, a.episode, a.taken_ns) == (b.tick, b.episode, b.taken_ns)
 }
 
 /// Many times as long as the pictures take.
@@ -112,7 +134,7 @@ fn a_set_in_lockstep_drives_alike_whether_pictures_are_taken_or_not() {
         set.json()
     };
     let asked = drive("asked", |set| {
-        let foreseen = ask(set);
+        let foreseen = ask(set, &IN_LOCKSTEP);
         let gained = |k: usize| -> f64 { foreseen.iter().map(|pair| pair[k].completion).sum() };
         assert!(
             gained(1) > gained(0),
@@ -139,7 +161,7 @@ fn a_set_in_real_time_answers_too() {
         "--set",
         "world.rate_hz=50",
     ]);
-    assert_eq!(ask(&set).len() as u64, PICTURES);
+    assert_eq!(ask(&set, &IN_REAL_TIME).len() as u64, PICTURES);
     set.signal(Signal::TERM);
     assert_eq!(set.wait(), Some(0), "{}", set.logs());
     assert_eq!(set.json()["restarts"], 0);
